@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +56,13 @@ def number(text: str | None) -> int | str | None:
 def words(text: str) -> tuple[str, ...]:
     """Return the words of a comma-separated list."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def shares_text(counts: Mapping[str, int]) -> str:
+    """Return `success 12 (60 %), slip 8 (40 %)`, the most frequent first; empty of nothing."""
+    total = sum(counts.values())
+    order = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+    return ", ".join(f"{name} {count} ({100 * count / total:.0f} %)" for name, count in order)
 
 
 class StoppedRun(Exception):

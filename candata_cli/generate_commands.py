@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.generate_report import counts_text, tell_forecast, tell_set
+from candata_cli.generate_report import tell_forecast, tell_set
 from candata_cli.outputs import check_output
 from candata_cli.recipe_option import use_recipe
 
@@ -174,7 +174,7 @@ def _progress(
 
     seen: dict[str, int] = {}
     with console.progress("episodes", sum(len(chunk) for chunk in chunks(episodes, shard))) as advance:
-        yield (lambda count: advance(count, counts_text(seen)), seen.update)
+        yield (lambda count: advance(count, console.shares_text(seen)), seen.update)
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -37,18 +37,11 @@ def tell_set(out: Path, version: VersionFile, json: bool) -> None:
     else:
         console.out(f"{out}: {len(ids)} episodes in version {version.number}, digest {version.digest[:12]}")
     for task, counts in outcomes.items():
-        console.note(f"outcomes of {task}: {counts_text(counts)}")
+        console.note(f"outcomes of {task}: {console.shares_text(counts)}")
     if left_out:
         console.note(f"left out: {len(left_out)} episodes, each with its reason in {out / QUARANTINE}")
         for text in _reasons(left_out):
             console.note(f"  {text}")
-
-
-def counts_text(counts: dict[str, int]) -> str:
-    """Return `success 12 (60 %), slip 8 (40 %)`, the most frequent first."""
-    total = sum(counts.values())
-    order = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
-    return ", ".join(f"{name} {count} ({count / total:.0%})".replace("%", " %") for name, count in order)
 
 
 def _outcomes_by_task(rows: list[dict]) -> dict[str, dict[str, int]]:
@@ -82,7 +75,8 @@ def tell_forecast(forecast: Forecast, json: bool) -> None:
         console.out(f"{forecast.episodes} episodes; every one of the trial was left out, so the rest is not known")
         return
     console.out(f"{forecast.episodes} episodes, {forecast.rows} rows, {forecast.steps} steps of physics")
+    processes = f"{forecast.workers} process{'' if forecast.workers == 1 else 'es'}"
     console.out(
-        f"{console.duration(60 * forecast.minutes)} with {forecast.workers} processes, {forecast.gigabytes:.3g} GB "
+        f"{console.duration(60 * forecast.minutes)} with {processes}, {forecast.gigabytes:.3g} GB "
         f"(measured on {forecast.trial_episodes} episodes)"
     )

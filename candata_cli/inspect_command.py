@@ -120,6 +120,8 @@ def _print_summary(summary: Summary, meta: EpisodeMeta | None) -> None:
     for label in ("sources", "scenes", "objects", "tasks"):
         counts = sorted(getattr(summary, label).items())
         console.out(f"{label}: {', '.join(f'{name} {count}' for name, count in counts) or 'not stated'}")
+    for task, outcomes in summary.outcomes.items():
+        console.out(f"outcomes{f' of {task}' if task else ''}: {console.shares_text(outcomes)}")
     rows = [
         (
             c.name,

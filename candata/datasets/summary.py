@@ -37,7 +37,8 @@ class ChannelSummary(ResultRecord):
 class Summary(ResultRecord):
     """What `candata inspect` prints; shares are of rows, null where no episode knows contact.
 
-    Counts by scene, object and task leave out episodes that state none.
+    Counts by scene, object and task leave out episodes that state none. `outcomes` counts episodes by task and outcome;
+    those without an outcome are left out, and those without a task stand under an empty one.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Summary(ResultRecord):
     scenes: dict[str, int]
     objects: dict[str, int]
     tasks: dict[str, int]
+    outcomes: dict[str, dict[str, int]]
     channels: tuple[ChannelSummary, ...]
     contact_share: float | None
     fingertip_contact_shares: dict[str, float]
@@ -146,6 +148,7 @@ def summarise(
     """
     ranges: dict[str, _Range] = defaultdict(_Range)
     counts: dict[str, Counter[str]] = defaultdict(Counter)
+    outcomes: dict[str, Counter[str]] = defaultdict(Counter)
     touch = _Touch()
     episodes, rows, duration_s = 0, 0, 0.0
     for episode in dataset.episodes(ids):
@@ -154,6 +157,8 @@ def summarise(
             ranges[name].add(episode[name], episode.valid(name))
         for key in ("source", "scene", "object", "task"):
             counts[key].update([v for v in [getattr(episode.meta, key)] if v is not None])
+        if episode.meta.outcome is not None:
+            outcomes[episode.meta.task or ""][episode.meta.outcome] += 1
         touch.add(episode)
         watch(episode)
         progress()
@@ -170,6 +175,7 @@ def summarise(
         scenes=dict(counts["scene"]),
         objects=dict(counts["object"]),
         tasks=dict(counts["task"]),
+        outcomes={task: dict(outcomes[task]) for task in sorted(outcomes)},
         channels=tuple(ranges[name].summary(name) for name in CHANNELS if name in ranges),
         contact_share=shares.pop(ANY_FINGERTIP, None),
         fingertip_contact_shares=shares,

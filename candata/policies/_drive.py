@@ -19,9 +19,10 @@ Ids = NDArray[np.int64]
 MOTOR_SHARE = 0.2
 
 
+@lru_cache(maxsize=16)
 def servos(scene: Scene) -> NDArray[np.bool_]:
-    """Return `(A,)`: which actuators are position servos."""
-    return position_servos(scene.model, scene.actuator_ids)
+    """Return `(A,)`: which actuators are position servos; read-only."""
+    return _fixed(position_servos(scene.model, scene.actuator_ids))
 
 
 def position_servo_columns(scene: Scene) -> Ids:
@@ -49,20 +50,34 @@ def lengths(scene: Scene, commands: Array) -> Array:
     return out
 
 
+@lru_cache(maxsize=16)
 def command_range(scene: Scene) -> Array:
-    """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest."""
+    """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest.
+
+    Read-only.
+    """
     model, ids = scene.model, scene.actuator_ids
     is_limited = model.actuator_ctrllimited[ids].astype(bool)[:, None]
     rest = holding_commands(scene, model.actuator_length0[ids])[:, None] + np.array([-1.0, 1.0])
     travel = _travel(scene)
-    return np.where(is_limited, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest))
+    return _fixed(np.where(is_limited, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest)))
 
 
+@lru_cache(maxsize=16)
 def useful_range(scene: Scene) -> Array:
-    """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is."""
+    """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is.
+
+    Read-only.
+    """
     allowed_range, travel = command_range(scene), _travel(scene)
     low, high = np.maximum(allowed_range[:, 0], travel[:, 0]), np.minimum(allowed_range[:, 1], travel[:, 1])
-    return np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed_range)
+    return _fixed(np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed_range))
+
+
+def _fixed(values: NDArray) -> NDArray:
+    """Return an array that can no longer be written: it is kept for the next call."""
+    values.setflags(write=False)
+    return values
 
 
 def _travel(scene: Scene) -> Array:

@@ -67,6 +67,7 @@ def page(survey: Survey, episode: str | None = None) -> str:
         meaning=_meaning(summary),
         answers=_answers(summary),
         channels=[_channel_row(channel, units) for channel in summary.channels],
+        outcomes=_outcome_rows(summary.outcomes),
         contact_known=summary.contact_share is not None and summary.phases is not None,
         phases=summary.phases or {},
         phase_key=traces.phase_key(False),
@@ -176,6 +177,15 @@ def _unit(channel: ChannelSummary, units: Mapping[str, str]) -> str:
     unit = JOINT_UNITS[channel.name]
     joint_unit_names = sorted({readable_unit(unit, name, units) for name in units}, reverse=True)
     return ", ".join(joint_unit_names) or readable_unit(unit, "", units)
+
+
+def _outcome_rows(by_task: Mapping[str, Mapping[str, int]]) -> list[tuple[str, ...]]:
+    """Return one row for each task and outcome: how many episodes, and their share of the task's."""
+    return [
+        (task or DASH, outcome, f"{count:,}", percent(count / sum(counts.values())))
+        for task, counts in by_task.items()
+        for outcome, count in sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+    ]
 
 
 def _episode_figures(survey_entry: ExampleEpisode) -> EpisodeFigures:

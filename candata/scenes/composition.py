@@ -71,34 +71,31 @@ def compose(
     else:
         spec = arm_part
     site = _site(spec, arm, at, path)
-    arm_keys: Keyframes = _take_keyframes(spec, arm)
-    hand_keys: Keyframes = {}
-    if isinstance(hand_part, Hand):
-        mount = site.parent.add_body(name="mount", pos=site.pos, quat=site.quat)
-        hand_part.add(spec, mount, _UNTURNED)
-        exclude_pairs(spec, [body.name for body in mount.find_all("body")])
-        roots = [mount]
-    else:
-        _fix_base(hand_part)
-        hand_keys = _take_keyframes(hand_part, hand)
-        roots = _attach(spec, site, hand_part)
-    _refuse_clashes(spec, arm, hand, path)
+    arm_keys, hand_keys = _take_keyframes(spec, arm), _keyframes_of_fixed(hand_part, hand)
+    try:
+        roots = _mount(spec, site, hand_part)
+    except ValueError as error:
+        raise SceneError(
+            f"arm {arm} cannot carry hand {hand}: {' '.join(str(error).split()).removeprefix('Error: ')}",
+            expected="names in the file of the arm that the hand does not bring",
+            where=Where(path=str(path)),
+            fix="rename it in the file of the arm",
+        ) from None
     _add_keyframes(spec, roots, arm_keys, hand_keys)
     return spec
 
 
 def _part(name: str, registry: Registry, path: Path) -> Arm | Hand | mujoco.MjSpec:
-    """Return the registered arm or hand of a name, or the spec of a file; a file beside the scene goes first."""
+    """Return the registered arm or hand of a name, else the spec of a file."""
+    if name in registry:
+        part: Arm | Hand = registry.load(name)
+        return part
     file = model_path(path, name)
     if file.is_file():
         return read_model(file)
-    if name in registry:
-        return registry.load(name)
     if file.suffix.lower() in _ENDINGS or ":" in name:
         raise SceneError(f"model {name} does not exist", expected=str(file), where=Where(path=str(path)))
-    raise UnknownNameError(
-        registry.constant.lower(), name, registry.names(), Where(path="give a model file for your own")
-    )
+    raise UnknownNameError(f"{registry.constant.lower()} or model file", name, registry.names(), Where(path=str(path)))
 
 
 def _site(spec: mujoco.MjSpec, arm: str, at: str | None, path: Path) -> mujoco.MjsSite:
@@ -127,33 +124,28 @@ def _take_keyframes(spec: mujoco.MjSpec, name: str) -> Keyframes:
     return values
 
 
-def _fix_base(spec: mujoco.MjSpec) -> None:
-    """Delete the free joints of a hand's bases, and its keyframes, which hold their places."""
-    free_joints = [j for body in spec.worldbody.bodies for j in body.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]
-    for element in (*free_joints, *(spec.keys if free_joints else ())):
-        spec.delete(element)
+def _keyframes_of_fixed(hand: Hand | mujoco.MjSpec, name: str) -> Keyframes:
+    """Return the keyframes of a hand once the free joints of its bases are deleted; none where there are such."""
+    if isinstance(hand, Hand):
+        return {}
+    free_joints = [j for body in hand.worldbody.bodies for j in body.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]
+    for element in (*free_joints, *(hand.keys if free_joints else ())):
+        hand.delete(element)
+    return _take_keyframes(hand, name)
 
 
-def _attach(spec: mujoco.MjSpec, site: mujoco.MjsSite, hand: mujoco.MjSpec) -> list[mujoco.MjsBody]:
-    """Return the bodies of a hand, attached to a site of `spec`, whose options hold."""
+def _mount(spec: mujoco.MjSpec, site: mujoco.MjsSite, hand: Hand | mujoco.MjSpec) -> list[mujoco.MjsBody]:
+    """Return the bodies of a hand that a site of `spec` now carries; the options of `spec` hold."""
+    if isinstance(hand, Hand):
+        place = compile_model(spec, "of an arm").site(site.name)  # whatever way the file writes it
+        mount = site.parent.add_body(name="mount", pos=place.pos, quat=place.quat)
+        hand.add(spec, mount, _UNTURNED)
+        exclude_pairs(spec, [body.name for body in mount.find_all("body")])
+        return [mount]
     for option in (name for name in dir(spec.option) if not name.startswith("_")):
         setattr(hand.option, option, getattr(spec.option, option))
     hand.memory, hand.njmax, hand.nconmax, hand.nstack = spec.memory, spec.njmax, spec.nconmax, spec.nstack
     return [site.attach_body(body, HAND_PREFIX, "") for body in list(hand.worldbody.bodies)]
-
-
-def _refuse_clashes(spec: mujoco.MjSpec, arm: str, hand: str, path: Path) -> None:
-    """Refuse names that both bring."""
-    for kind in ("bodies", "joints", "geoms", "sites", "actuators"):
-        names = [element.name for element in getattr(spec, kind) if element.name]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise SceneError(
-                f"arm {arm} and hand {hand} both name {kind}: {', '.join(twice)}",
-                expected="names of its own for each",
-                where=Where(path=str(path)),
-                fix="rename them in the file of the arm",
-            )
 
 
 def _add_keyframes(
@@ -165,7 +157,8 @@ def _add_keyframes(
     model = compile_model(spec, "of an arm with a hand")
     is_hand = np.zeros(model.nq, bool)
     for joint in (j for root in roots for j in root.find_all("joint")):
-        is_hand[model.jnt_qposadr[joint.id]] = True
+        start = model.jnt_qposadr[joint.id]
+        is_hand[start : start + (4 if joint.type == mujoco.mjtJoint.mjJNT_BALL else 1)] = True
     for name in dict.fromkeys((*arm_keys, *hand_keys)):
         qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
         for keys, places, columns in (

@@ -37,8 +37,11 @@ XHAND_FINGERS = ("thumb", "index", "mid", "ring", "pinky")
 NOISE = Noise(object_pose=(0.001, np.deg2rad(0.5).item()), joint_position=0.002, fingertip_force=0.02, force_step=0.05)
 
 
-def table() -> mujoco.MjSpec:
-    """Return a spec with light, camera and a table whose top is z = 0 (a plane: its contacts have a closed form)."""
+def table(half_width_m: float = 0.4) -> mujoco.MjSpec:
+    """Return a spec with light, camera and a table whose top is z = 0 (a plane: its contacts have a closed form).
+
+    Its width is only seen: the plane goes on.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep = 1 / RATE_HZ / SUBSTEPS
@@ -55,7 +58,7 @@ def table() -> mujoco.MjSpec:
     spec.worldbody.add_geom(
         name="table",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=(0.4, 0.4, 0.05),
+        size=(half_width_m, half_width_m, 0.05),
         contype=STANDS,
         conaffinity=STANDS,
         friction=TABLE_FRICTION,

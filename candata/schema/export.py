@@ -18,6 +18,7 @@ from candata.schema.exchange import ExportFile, FeatureMap
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
 from candata.schema.object import ObjectFile, ObjectList
 from candata.schema.policy_card import PolicyCard
+from candata.schema.quarantine import QuarantineFile
 from candata.schema.randomisation import RandomisationFile
 from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
@@ -52,6 +53,7 @@ _WRITTEN_RECORDS: dict[str, type[Record]] = {
     "episode": EpisodeMeta,
     "export": ExportFile,
     "part": PartFile,
+    "quarantine": QuarantineFile,
     "registry": RegistryFile,
     "remote-version": RemoteVersion,
     "report": Report,

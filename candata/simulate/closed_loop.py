@@ -21,6 +21,15 @@ Array = NDArray[np.float64]
 STEP_LIMIT_S = 10.0
 
 
+class FailedStepsError(DataError):
+    """Policies gave no commands; `by_episode` has the error of each such episode, and the text is that of the first."""
+
+    def __init__(self, by_episode: Mapping[str, DataError]) -> None:
+        first = next(iter(by_episode.values()))
+        super().__init__(first.problem, expected=first.expected, found=first.found, where=first.where, fix=first.fix)
+        self.by_episode = by_episode
+
+
 @dataclass(frozen=True)
 class Pilot:
     """What gives the commands of one episode.
@@ -29,8 +38,8 @@ class Pilot:
     ----------
     episode : str
         Its id, for errors.
-    step : callable
-        `Observation -> (A,)`.
+    begin : callable
+        `() -> step`, where `step` is `Observation -> (A,)`.
     sense : callable
         Channels `(T, ...)` as perfect sensors read them -> the same with the episode's noise.
     rows : int
@@ -40,7 +49,7 @@ class Pilot:
     """
 
     episode: str
-    step: Step
+    begin: Callable[[], Step]
     sense: Callable[[dict[str, Array]], Mapping[str, Array]]
     rows: int
     noise: Array
@@ -64,6 +73,8 @@ class ClosedLoop:
     def __init__(self, pilots: Sequence[Pilot | None], settle: int, rate_hz: float, limits: Array) -> None:
         self._pilots, self._settle, self._rate_hz, self._limits = pilots, settle, rate_hz, limits
         self._seen: list[dict[str, Array]] = [{} for _ in pilots]
+        self._steps: dict[int, Step] = {}
+        self._errors: dict[str, DataError] = {}
 
     def set_commands(self, row: int, readings: Mapping[str, Array], commands: Array) -> None:
         """Set the commands of a row, `commands[:, row]` of `(n, T, A)`, in place.
@@ -77,18 +88,40 @@ class ClosedLoop:
         commands : (n, T, A) float64
             Those of earlier rows are what was given.
 
-        Raises
-        ------
-        DataError
-            When a policy fails, takes too long, or gives what is no command.
+        A policy that gives no commands keeps its last ones; see `check`.
         """
         number = row - self._settle
         for i, pilot in enumerate(self._pilots):
-            if pilot is not None and 0 <= number < pilot.rows:
-                seen = self._sensed(i, pilot, number, {name: value[i] for name, value in readings.items()})
-                observation = Observation(number, number / self._rate_hz, seen, commands[i, max(row - 1, 0)].copy())
-                given = _checked_commands(pilot, observation) + pilot.noise[number]
-                commands[i, row] = np.clip(given, *self._limits.T)
+            if pilot is None or not 0 <= number < pilot.rows:
+                continue
+            earlier = commands[i, max(row - 1, 0)].copy()
+            if pilot.episode not in self._errors:
+                try:
+                    seen = self._sensed(i, pilot, number, {name: value[i] for name, value in readings.items()})
+                    observation = Observation(number, number / self._rate_hz, seen, earlier.copy())
+                    given = self._given(i, pilot, observation) + pilot.noise[number]
+                    commands[i, row] = np.clip(given, *self._limits.T)
+                    continue
+                except DataError as error:
+                    self._errors[pilot.episode] = error
+            commands[i, row] = earlier
+
+    def check(self) -> None:
+        """Refuse a run in which a policy failed, took too long, or gave what is no command.
+
+        Raises
+        ------
+        FailedStepsError
+            When one did; an episode of another policy is as good as if it had been played alone.
+        """
+        if self._errors:
+            raise FailedStepsError(self._errors)
+
+    def _given(self, i: int, pilot: Pilot, observation: Observation) -> Array:
+        """Return the commands that a policy gives, which begins with its first row."""
+        if observation.row == 0:
+            self._steps[i] = pilot.begin()
+        return _checked_commands(self._steps[i], pilot.episode, observation)
 
     def _sensed(self, i: int, pilot: Pilot, number: int, readings: dict[str, Array]) -> dict[str, Array]:
         """Return the readings of a row as the episode will store them.
@@ -103,31 +136,31 @@ class ClosedLoop:
         return {name: value[number] for name, value in pilot.sense(so_far).items() if name in readings}
 
 
-def _checked_commands(pilot: Pilot, observation: Observation) -> Array:
+def _checked_commands(step: Step, episode: str, observation: Observation) -> Array:
     """Return what a policy gives, once it is known to be commands."""
     try:
         with _time_limit():
-            given = pilot.step(observation)
+            given = step(observation)
         commands = np.asarray(given, dtype=np.float64)
     except DataError:
         raise
     except Exception as error:
         problem = f"{type(error).__name__}: {error}"
-        raise _failed_step("the policy failed", "commands", problem, pilot, observation) from error
+        raise _failed_step("the policy failed", "commands", problem, episode, observation) from error
     shape = observation.action.shape
     if commands.shape != shape or not np.isfinite(commands).all():
         problem = "numbers that are not finite" if commands.shape == shape else f"shape {commands.shape}"
-        raise _failed_step("the policy gave no commands", f"{shape[0]} finite numbers", problem, pilot, observation)
+        raise _failed_step("the policy gave no commands", f"{shape[0]} finite numbers", problem, episode, observation)
     return commands
 
 
-def _failed_step(problem: str, expected: str, found: str, pilot: Pilot, observation: Observation) -> DataError:
+def _failed_step(problem: str, expected: str, found: str, episode: str, observation: Observation) -> DataError:
     """Return the error for a step that gave nothing."""
     return DataError(
         problem,
         expected=expected,
         found=f"{found}, at row {observation.row} ({observation.time_s:.2f} s)",
-        where=Where(episode=pilot.episode),
+        where=Where(episode=episode),
     )
 
 

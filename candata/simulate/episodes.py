@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,6 +145,11 @@ def tried_episodes(
 
     Not a number where it did not; before zero, while the model settled. From there on such an episode means nothing.
     Parameters are those of `make_episodes`, and the jobs' `plans` where they are at hand.
+
+    Raises
+    ------
+    FailedStepsError
+        When policies in a closed loop give no commands.
     """
     plans = plans or [planned(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
@@ -151,6 +157,7 @@ def tried_episodes(
     commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
     pilots = [_pilot(scene, j, len(p.commands), noise) for j, p in zip(jobs, plans, strict=True)]
     kicks = [_kicks(scene, j, len(p.commands)) for j, p in zip(jobs, plans, strict=True)]
+    closed_loop = ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene))
     trajectory = rollout(
         scene,
         commands,
@@ -158,12 +165,13 @@ def tried_episodes(
         np.stack([p.qvel for p in plans]),
         [j.effects for j in jobs],
         observer=Kicks(scene, kicks, settle) if any(kicks) else None,
-        closed_loop=ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene)) if any(pilots) else None,
+        closed_loop=closed_loop if any(pilots) else None,
         settle=settle,
         threads=threads,
         alter=alter,
         keep_state=any(p.goal for p in plans),
     )
+    closed_loop.check()
     plans = [
         replace(p, commands=given[settle : settle + len(p.commands)]) for p, given in zip(plans, commands, strict=True)
     ]
@@ -219,7 +227,7 @@ def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pil
         return None
     return Pilot(
         job.id,
-        job.step_policy.begin(scene, _rng(job, POLICY_STREAM)),
+        partial(job.step_policy.begin, scene, _rng(job, POLICY_STREAM)),
         lambda readings: add_noise(readings, noise, _rng(job, NOISE_STREAM)),
         rows,
         _command_noise(scene, job, rows),

@@ -150,6 +150,14 @@ def test_the_hand_on_an_arm_grasps_lifts_and_touches_the_table_with_no_link(arm)
         assert np.abs(e["joint_position"][:, :7] - e["action"][:, :7]).max() < 0.1, "the arm follows [rad]"
 
 
+def test_every_variant_is_within_the_reach_of_the_arm(arm):
+    low, high = drive.command_range(arm).T
+    for name in arm.policies:
+        for variant in policy(name).variants:
+            plan = variant.plan(arm, np.random.default_rng(1), 2.0)
+            assert ((low <= plan.commands) & (plan.commands <= high)).all(), variant.words
+
+
 def test_a_plan_without_a_path_leaves_the_arm_where_it_is(arm):
     plan = policy("roll").plan(arm, np.random.default_rng(1), 1.0)
     moved = np.abs(plan.commands[:, :7] - carrier(arm).start[:7]).max()

@@ -203,3 +203,19 @@ def test_a_damaged_network_is_one_error(tmp_path):
     (tmp_path / "net.safetensors").write_bytes(b"no tensors")
     with pytest.raises(DataError, match="cannot be read"):
         generate(tmp_path / "set", **SET, step_policy=source)
+
+
+def test_an_episode_whose_policy_fails_is_left_out_and_the_others_are_as_ever(tmp_path):
+    watch = "lambda observation: observation.action * 0.9 + 0.001"
+    (tmp_path / "all.py").write_text(f"def policy(scene, rng):\n    return {watch}\n")
+    (tmp_path / "some.py").write_text(
+        "def policy(scene, rng):\n    bad = rng.uniform() < 0.5\n"
+        f"    return lambda observation: None if bad and observation.row == 9 else ({watch})(observation)\n"
+    )
+    words = {**SET, "episodes": 8}
+    generate(tmp_path / "all", **words, step_policy=str(tmp_path / "all.py:policy"))
+    generate(tmp_path / "some", **words, step_policy=str(tmp_path / "some.py:policy"))
+    complete, partly = open_dataset(tmp_path / "all"), list(open_dataset(tmp_path / "some"))
+    assert 0 < len(partly) < 8
+    for episode in partly:
+        np.testing.assert_array_equal(episode["object_pose"], complete.episode(episode.meta.id)["object_pose"])

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from candata.datasets import get_cloud, open_dataset, pending_parts
-from candata.errors import UnknownNameError, UsageError
+from candata.datasets.merging import merge
+from candata.errors import MissingExtraError, UnknownNameError, UsageError
 from candata.schema.effect import EffectSetting
 from candata.simulate.generate import generate
 
@@ -161,3 +162,33 @@ def test_what_cannot_be_made_leaves_nothing_behind(tmp_path, change, text):
 def test_an_unknown_policy_lists_the_known(tmp_path):
     with pytest.raises(UnknownNameError, match="free_sweep"):
         generate(tmp_path / "set", **TOSS, policies=["sweep"])
+
+
+def test_all_shards_are_the_whole_set(tmp_path, reference):
+    shards = [generate(tmp_path / "set", **TOSS, shard=(number, 2)) for number in (2, 1)]
+    assert [sum(part.episodes for part in version.parts) for version in shards] == [4, 20]
+    assert shards[1].digest == reference
+
+
+def test_shards_of_their_own_merge_into_the_whole_set(tmp_path, reference):
+    for number in (1, 2):
+        generate(tmp_path / f"{number}", **TOSS, shard=(number, 2))
+    merged = merge([open_dataset(tmp_path / f"{number}") for number in (1, 2)], tmp_path / "whole")
+    assert merged.digest == reference
+
+
+@pytest.mark.parametrize(
+    ("shard", "text"), [((3, 2), "no such shard"), ((0, 2), "no such shard"), ((3, 3), "at most 2")]
+)
+def test_a_shard_that_is_none_is_refused(tmp_path, shard, text):
+    with pytest.raises(UsageError, match=text):
+        generate(tmp_path / "set", **TOSS, shard=shard)
+    assert not (tmp_path / "set").exists()
+
+
+def test_without_ray_one_line_says_how_to_install_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError) as caught:
+        generate(tmp_path / "set", **TOSS, ray="local")
+    assert str(caught.value) == 'ray is not installed\n  do: pip install "candata[cluster]"'
+    assert not (tmp_path / "set").exists()
