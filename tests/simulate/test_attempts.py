@@ -81,6 +81,11 @@ def test_a_policy_without_a_goal_is_refused_where_outcomes_are_wanted(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_a_policy_that_cannot_act_is_refused_where_outcomes_are_wanted(tmp_path):
+    with pytest.raises(UsageError, match="policy push cannot act in scene cube_toss"):
+        generate(tmp_path / "set", **{**TOSS, "policies": ("push",), "outcomes": MIX})
+
+
 def sometimes(change, share):
     """A policy whose plans are changed in a share of the episodes, as the seed decides."""
     plain = policy("toss")
