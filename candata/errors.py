@@ -90,6 +90,10 @@ class SceneError(CandataError):
     """A scene that names what its model lacks, or that does not compile (exit 2)."""
 
 
+class ReachError(SceneError):
+    """A path of the hand that what carries it cannot follow (exit 2)."""
+
+
 class SetupError(CandataError):
     """The machine lacks something: an extra, space, a device (exit 3)."""
 

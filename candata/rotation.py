@@ -48,6 +48,12 @@ def exp(rotation_vector: Array) -> Array:
     return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * rotation_vector], axis=-1)
 
 
+def of_fixed_axes(rpy: tuple[float, float, float]) -> Array:
+    """Return the quaternion of turns [rad] about fixed x, then y, then z: what a URDF calls `rpy`."""
+    roll, pitch, yaw = (exp(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
+    return multiply(yaw, multiply(pitch, roll))
+
+
 def log(q: Array) -> Array:
     """Return the shortest rotation vector `(..., 3)` [rad] of a unit quaternion."""
     q = np.where(q[..., :1] < 0, -q, q)

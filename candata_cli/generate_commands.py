@@ -13,6 +13,7 @@ import typer
 from candata_cli import console
 from candata_cli.generate_report import tell_forecast, tell_set
 from candata_cli.outputs import check_output
+from candata_cli.recipe_option import use_recipe
 
 if TYPE_CHECKING:
     from candata.errors import UsageError
@@ -23,6 +24,16 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Recipe = Annotated[
+    Path | None,
+    typer.Option(
+        "--recipe",
+        metavar="FILE",
+        is_eager=True,
+        callback=use_recipe,
+        help="Options in a YAML file, such as `episodes: 8`; those typed go before.",
+    ),
+]
 SceneName = Annotated[
     str | None,
     typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
@@ -40,6 +51,14 @@ Policies = Annotated[str | None, typer.Option("--policies", metavar="A,B", help=
 PolicyFile = Annotated[
     Path | None,
     typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
+]
+PolicyModule = Annotated[
+    str | None,
+    typer.Option(
+        "--policy-module",
+        metavar="MODULE:F|FILE",
+        help="Closed loop instead: package.module:function, FILE.py:function, or a network FILE.safetensors.",
+    ),
 ]
 Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
@@ -67,7 +86,7 @@ Strict = Annotated[bool, typer.Option("--strict", help="End at the first episode
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the set would take; make nothing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 #: Parameters that go together with --again: where things are now. All else is that of the episode.
-BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "again", "episode")
+BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "policy_module", "again", "episode")
 
 
 def register(app: typer.Typer) -> None:
@@ -82,6 +101,7 @@ def generate_sim(
     context: typer.Context,
     out: Out = None,
     episodes: Episodes = None,
+    recipe: Recipe = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
@@ -89,6 +109,7 @@ def generate_sim(
     randomise: Randomise = None,
     policies: Policies = None,
     policy_file: PolicyFile = None,
+    policy_module: PolicyModule = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
     jobs: Jobs = None,
@@ -116,7 +137,7 @@ def generate_sim(
     An episode that cannot be made is left out, with its reason in the dataset, unless `--strict` is given.
     """
     if again is not None or episode is not None:
-        return _make_again(context, again, episode, out, scene, objects, policy_file)
+        return _make_again(context, again, episode, out, scene, objects, policy_file, policy_module)
     if out is None and not dry_run:
         raise _missing("--out DATASET")
     if episodes is None:
@@ -124,10 +145,8 @@ def generate_sim(
     if out is not None:
         sealed = seal or out.with_name(f"{out.name}.seal.json")
         check_output(out, "dataset")
-        if withhold is not None or withhold_from is not None:
-            check_output(sealed, "file", "--seal")
     scene_name, options = _set_options(scene, objects, effects, randomise, withhold_from, policies, outcomes)
-    options |= {"policy_file": policy_file, "duration_s": duration_s, "noise": noise}
+    options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s, "noise": noise}
     part = _shard(shard)
     if out is None or dry_run:
         from candata.simulate.forecast import forecast
@@ -188,21 +207,33 @@ def _set_options(
         "objects": _objects(objects),
         "effects": effects_file.effects if effects_file else (),
         "randomisation": random_file.effects if random_file else (),
+        "disturbances": random_file.disturbances if random_file else None,
         "policies": tuple(policies.split(",")) if policies else (),
         "outcomes": parsed_outcomes(outcomes) if outcomes is not None else None,
     }
     return _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)), options
 
 
-def _withheld(effect_name: str | None, hidden_file: Path | None, seal: Path, salt: str | None) -> Withheld | None:
+def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, salt: str | None) -> Withheld | None:
     """Return what is withheld: one effect, or a draw of a file."""
     from candata.effects import read_randomisation
     from candata.errors import UsageError
     from candata.simulate.generate import Withheld
 
-    if effect_name is not None and hidden_file is not None:
+    if effect_name is not None and hidden_path is not None:
         raise UsageError("--withhold and --withhold-from at once", fix="leave one of them out")
-    asked = read_randomisation(hidden_file).effects if hidden_file is not None else effect_name
+    hidden_file = read_randomisation(hidden_path) if hidden_path is not None else None
+    if hidden_file is not None and (hidden_file.disturbances is not None or not hidden_file.effects):
+        raise UsageError(
+            "the file of --withhold-from does more than draw effects"
+            if hidden_file.effects
+            else "no effect to withhold",
+            expected="effects alone",
+            fix="give disturbances by --randomise, in a set of their own",
+        )
+    asked = hidden_file.effects if hidden_file is not None else effect_name
+    if asked is not None:
+        check_output(seal, "file", "--seal")
     return None if asked is None else Withheld(asked, seal, salt)
 
 
@@ -214,6 +245,7 @@ def _make_again(
     scene: str | None,
     objects: str | None,
     policy_file: Path | None,
+    policy_module: str | None,
 ) -> None:
     """Make an episode of a dataset again, say that it is the same, and store it where that is asked for."""
     if again is None or episode_id is None:
@@ -224,7 +256,14 @@ def _make_again(
     from candata.simulate.repetition import repeat_episode, store_repeated
 
     dataset = console.open_named(again)
-    repeated = repeat_episode(dataset, episode_id, scene=scene, objects=_objects(objects), policy_file=policy_file)
+    repeated = repeat_episode(
+        dataset,
+        episode_id,
+        scene=scene,
+        objects=_objects(objects),
+        policy_file=policy_file,
+        step_policy=policy_module,
+    )
     console.out(f"{episode_id}: bit-equal, {len(repeated)} rows of {len(repeated.arrays)} channels")
     if out is not None:
         version = store_repeated(out, dataset, repeated)

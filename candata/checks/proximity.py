@@ -13,7 +13,6 @@ from candata.checks._forces import any_contact, flags, forces
 from candata.checks._geometry import fits, recorded_states, unplaced_bodies
 from candata.checks._view import EpisodeView
 from candata.scenes import Scene
-from candata.scenes.assemble import subtree
 
 #: Distances between a touching fingertip and what it can touch that are reported, doubtful and wrong [m].
 TOLD_M, DOUBTFUL_M, WRONG_M = 0.005, 0.015, 0.05
@@ -39,7 +38,7 @@ def _episode(view: EpisodeView) -> Iterator[Finding]:
     if tips is None:
         yield view.finding("unknown", "proximity", "it is not known when fingertips touch")
         return
-    groups = [_geoms(scene, tip) for tip in range(len(scene.file.fingertips))]
+    groups = [geoms.tolist() for geoms in scene.fingertip_geoms]
     partner_groups = [_touchable(scene.model, geoms) for geoms in groups]
     loose_bodies = unplaced_bodies(scene)
     is_unplaced = [
@@ -108,16 +107,6 @@ def _rest_reading(xyz: NDArray[np.float64], total: NDArray[np.float64]) -> NDArr
         return np.zeros(3)
     low = has_value & (np.where(has_value, total, np.inf) <= np.quantile(total[has_value], QUIET_SHARE))
     return np.asarray(np.median(xyz[low], axis=0))
-
-
-def _geoms(scene: Scene, tip: int) -> list[int]:
-    """Return the colliding geoms of a fingertip: itself, or those of its body and what that carries."""
-    model, name = scene.model, scene.file.fingertips[tip]
-    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) < 0:
-        return [model.geom(name).id]
-    bodies = list(subtree(model, int(scene.fingertip_bodies[tip])))
-    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return np.flatnonzero(np.isin(model.geom_bodyid, bodies) & touch).tolist()
 
 
 def _touchable(model: mujoco.MjModel, tip: list[int]) -> list[int]:

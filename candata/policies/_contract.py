@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,12 +103,15 @@ class Policy:
         `(scene, rng, duration_s) -> Plan`.
     variants : tuple of Variant
         The same kind of motion, made to show one thing; never part of the usual mix.
+    on_request : bool
+        Played where it is named only: never part of the usual mix.
     """
 
     about: str
     possible: Callable[[Scene], bool]
     plan: Planner
     variants: tuple[Variant, ...] = ()
+    on_request: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,3 +131,29 @@ class Motion:
     name: str
     commands: Array
     object_shift_m: Array
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a policy sees before a control step.
+
+    Attributes
+    ----------
+    row : int
+        Control step, from 0.
+    time_s : float
+        Time since row 0 [s].
+    readings : mapping of str to ndarray
+        The channels that the episode stores, with their noise: `object_pose (7,)` [m, quaternion w x y z],
+        `joint_position (J,)` [rad, m], `fingertip_force (F, 3)` [N].
+    action : (A,) float64
+        The previous commands; at row 0 those that open the hand.
+    """
+
+    row: int
+    time_s: float
+    readings: Mapping[str, Array]
+    action: Array
+
+
+Step = Callable[[Observation], Array]

@@ -1,9 +1,8 @@
-"""What a command means to an actuator, whatever it pulls: joints, tendons, motors; and what the rails do."""
+"""What a command means to an actuator, whatever it pulls: joints, tendons, motors."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,34 +17,17 @@ Ids = NDArray[np.int64]
 #: Share of its range that a motor without a position servo is driven by: its command is a force, and a scripted
 #: motion has nothing that would hold it back.
 MOTOR_SHARE = 0.2
-#: How upright a rail must be to count as the one that lifts (cosine to the vertical).
-UPRIGHT = 0.7
 
 
-class Rail(NamedTuple):
-    """A column of `action` that drives a wrist slide, and the sign that moves the hand as its name says."""
-
-    column: int
-    sign: float
-
-
-class Rails(NamedTuple):
-    """Slides that carry the whole hand.
-
-    `lift` moves it up, `away` moves it away from the object, `stroke` pushes it along the support; None where no
-    rail can. `sideways` tells whether `away` leads over the support, not up.
-    """
-
-    columns: Ids
-    lift: Rail | None
-    away: Rail | None
-    stroke: Rail | None
-    sideways: bool
-
-
+@lru_cache(maxsize=16)
 def servos(scene: Scene) -> NDArray[np.bool_]:
-    """Return `(A,)`: which actuators are position servos."""
-    return position_servos(scene.model, scene.actuator_ids)
+    """Return `(A,)`: which actuators are position servos; read-only."""
+    return _fixed(position_servos(scene.model, scene.actuator_ids))
+
+
+def position_servo_columns(scene: Scene) -> Ids:
+    """Return the columns of `action` that command position servos."""
+    return np.flatnonzero(servos(scene))
 
 
 def holding_commands(scene: Scene, length: Array) -> Array:
@@ -68,20 +50,34 @@ def lengths(scene: Scene, commands: Array) -> Array:
     return out
 
 
+@lru_cache(maxsize=16)
 def command_range(scene: Scene) -> Array:
-    """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest."""
+    """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest.
+
+    Read-only.
+    """
     model, ids = scene.model, scene.actuator_ids
     is_limited = model.actuator_ctrllimited[ids].astype(bool)[:, None]
     rest = holding_commands(scene, model.actuator_length0[ids])[:, None] + np.array([-1.0, 1.0])
     travel = _travel(scene)
-    return np.where(is_limited, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest))
+    return _fixed(np.where(is_limited, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest)))
 
 
+@lru_cache(maxsize=16)
 def useful_range(scene: Scene) -> Array:
-    """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is."""
+    """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is.
+
+    Read-only.
+    """
     allowed_range, travel = command_range(scene), _travel(scene)
     low, high = np.maximum(allowed_range[:, 0], travel[:, 0]), np.minimum(allowed_range[:, 1], travel[:, 1])
-    return np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed_range)
+    return _fixed(np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed_range))
+
+
+def _fixed(values: NDArray) -> NDArray:
+    """Return an array that can no longer be written: it is kept for the next call."""
+    values.setflags(write=False)
+    return values
 
 
 def _travel(scene: Scene) -> Array:
@@ -106,6 +102,18 @@ def _length_range(scene: Scene, actuator: int) -> tuple[float, float] | None:
         return None
     low, high = sorted(gear * float(v) for v in limits)
     return low, high
+
+
+def open_commands(scene: Scene) -> Array:
+    """Return the commands `(A,)` of the open hand: the keyframe `open`, or those that hold the model's own start.
+
+    A keyframe counts where there is one called `grasp` too.
+    """
+    model, ids = scene.model, scene.actuator_ids
+    keys = {model.key(k).name: k for k in range(model.nkey)}
+    if {"open", "grasp"} <= set(keys):
+        return np.array(model.key_ctrl[keys["open"]][ids])
+    return np.clip(holding_commands(scene, model.actuator_length0[ids]), *command_range(scene).T)
 
 
 def start_qpos(scene: Scene, commands: Array) -> Array:
@@ -155,48 +163,3 @@ def _carries(model: mujoco.MjModel, body: int, descendant: int) -> bool:
     while descendant != body and descendant != 0:
         descendant = int(model.body_parentid[descendant])
     return descendant == body
-
-
-@lru_cache(maxsize=16)
-def rails(scene: Scene) -> Rails:
-    """Return the slides that carry the hand and what each is for, from their axes and where the object stands."""
-    model = scene.model
-    slide = mujoco.mjtJoint.mjJNT_SLIDE
-    columns = [c for c in sorted(carriers(scene)) if model.jnt_type[_joint(scene, c)] == slide]
-    if not columns:
-        return Rails(np.zeros(0, int), None, None, None, False)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    joints = [_joint(scene, c) for c in columns]
-    axes = data.xaxis[joints] * np.sign(model.actuator_gear[scene.actuator_ids[columns], 0])[:, None]
-    base = data.xanchor[joints].mean(0)
-    stand_off = base - data.xpos[scene.object_id] if scene.object_id is not None else np.array([-1.0, 0, 0])
-    return _roles(columns, axes, stand_off)
-
-
-def _joint(scene: Scene, column: int) -> int:
-    """Return the joint id that a column of `action` drives."""
-    return scene.driven_joints[int(scene.actuator_ids[column])]
-
-
-def _roles(columns: list[int], axes: Array, stand_off: Array) -> Rails:
-    """Return the roles of rails with axes `(R, 3)` when the hand stands `back (3,)` of the object."""
-    upright = int(np.argmax(np.abs(axes[:, 2])))
-    lifts = bool(abs(axes[upright, 2]) > UPRIGHT)
-    along_stand_off = axes @ stand_off
-    away_rail = int(np.argmax(np.abs(along_stand_off)))
-    level_rails = [i for i in range(len(columns)) if abs(axes[i, 2]) <= UPRIGHT]
-    stroke = next((i for i in [*(i for i in level_rails if i != away_rail), *level_rails]), None)
-    return Rails(
-        np.array(columns, int),
-        Rail(columns[upright], _sign(axes[upright, 2])) if lifts else None,
-        Rail(columns[away_rail], _sign(along_stand_off[away_rail])),
-        None if stroke is None else Rail(columns[stroke], -_sign(along_stand_off[stroke], zero=-1.0)),
-        away_rail in level_rails,
-    )
-
-
-def _sign(number: float, zero: float = 1.0) -> float:
-    """Return +1 or -1; `zero` for none."""
-    return float(np.sign(number)) or zero

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares, nnls
 
 from candata.effects import _contact
 from candata.policies import _drive as d
+from candata.policies._carrier import carrier
 from candata.policies._contract import Array
 from candata.scenes import Scene
 from candata.scenes.motors import affine_law
@@ -44,12 +45,10 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     """
     if scene.object_id is None:
         return None
-    finger_columns = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
-    tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
-    tips = [t for t in tips if len(t)]
-    if not len(finger_columns) or not tips:
+    hand = hand_of(scene, d.holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids]))
+    if hand is None:
         return None
-    hand = _Hand(scene, finger_columns, tips)
+    finger_columns, tips = hand.free, hand.tips
     touch_commands, distances = hand.touch()
     if (distances < REACHED_M).sum() < min(2, len(tips)):
         return None
@@ -59,13 +58,21 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     return tuple(commands.tolist())
 
 
-class _Hand:
+def hand_of(scene: Scene, start: Array) -> Hand | None:
+    """Return the kinematics of the scene's fingers about commands `(A,)`; None without servos or fingertips."""
+    finger_columns = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
+    tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
+    tips = [t for t in tips if len(t)]
+    return Hand(scene, finger_columns, tips, start) if len(finger_columns) and tips else None
+
+
+class Hand:
     """Kinematics of a hand beside its object, as a function of the commands of some servos."""
 
-    def __init__(self, scene: Scene, free: Ids, tips: list[Ids]) -> None:
+    def __init__(self, scene: Scene, free: Ids, tips: list[Ids], start: Array) -> None:
         self.scene, self.model, self.free, self.tips = scene, scene.model, free, tips
         self.data = mujoco.MjData(self.model)
-        self.start = d.holding_commands(scene, self.model.actuator_length0[scene.actuator_ids])
+        self.start = start
         self.qpos0 = d.start_qpos(scene, self.start)
         self.data.qpos[:] = self.qpos0
         self._drop()
@@ -95,6 +102,16 @@ class _Hand:
                 distance, best_segment = geom_distance, segment.copy()
         return distance, best_segment
 
+    def tip_gap(self, first: int, second: int) -> tuple[float, Array]:
+        """Return the distance of two fingertips [m] and their nearest points `(2, 3)` [m]."""
+        distance, ends, segment = 1.0, np.zeros(6), np.zeros(6)
+        for a in self.tips[first]:
+            for b in self.tips[second]:
+                pair_distance = mujoco.mj_geomDistance(self.model, self.data, int(a), int(b), distance, segment)
+                if pair_distance < distance:
+                    distance, ends = pair_distance, segment.copy()
+        return distance, ends.reshape(2, 3)
+
     def _moment(self) -> Array:
         """Return `(A + C, nv)` how fast each free actuator's length, and each coupling, grows with each joint."""
         model, data = self.model, self.data
@@ -107,7 +124,7 @@ class _Hand:
         coupled_moment = data.efc_J[: data.nefc * model.nv].reshape(-1, model.nv)[equality_rows]
         return np.concatenate([moment[self.scene.actuator_ids][self.free], coupled_moment, *_tight_tendons(model)])
 
-    def _pose(self, commands: Array) -> None:
+    def pose(self, commands: Array) -> None:
         """Put the joints where the servos rest; tendons pull their joints alike, couplings and limits hold."""
         model, commands_all = self.model, self.start.copy()
         commands_all[self.free] = commands
@@ -127,14 +144,14 @@ class _Hand:
     def _forces(self, points: Array) -> Array:
         """Return `(F, 3)` forces towards the object's centre whose sizes sum to 1 and that cancel as far as they can.
 
-        What the object lies on pushes back too, where no rail will lift the object off it: a palm that holds it up.
+        What the object lies on pushes back too, where nothing will lift the object off it: a palm that holds it up.
         """
         inward = self.data.xpos[self.scene.object_id] - points
         inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), mujoco.mjMINVAL)
         count = len(points)
         # A heavy row keeps the sum of the sizes at 1; light ones spread the load over all fingertips.
         rows = np.concatenate([inward.T, 100 * np.ones((1, count)), 0.3 * np.eye(count)])
-        if d.rails(self.scene).lift is None:
+        if carrier(self.scene).lift is None:
             rows = np.column_stack([rows, np.arange(3 + 1 + count) == 2])
         sizes, _ = nnls(rows, 100.0 * (np.arange(len(rows)) == 3))
         return inward * sizes[:count, None]
@@ -146,19 +163,19 @@ class _Hand:
         start_share = np.clip((self.start[self.free] - low) / span, 0.0, 1.0)
 
         def errors(share: Array) -> Array:
-            self._pose(low + share * span)
+            self.pose(low + share * span)
             points, gaps = self._contacts()
             return np.concatenate([gaps / SCALE_M, BALANCE * self._forces(points).sum(0), share - start_share])
 
         starts = [np.clip(start_share, margin, 1 - margin) for margin in MARGINS]
         ends = [least_squares(errors, s, bounds=(0.0, 1.0), diff_step=1e-4, max_nfev=40) for s in starts]
         best_commands = low + min(ends, key=lambda end: float(end.cost)).x * span
-        self._pose(best_commands)
+        self.pose(best_commands)
         return best_commands, self._contacts()[1]
 
     def press(self, commands: Array, distances: Array) -> Array:
         """Return how much more to ask of the servos, so that the fingertips that touch press on the object."""
-        self._pose(commands)
+        self.pose(commands)
         mujoco.mj_comPos(self.model, self.data)
         weight = float(self.model.body_subtreemass[self.scene.object_id] * np.linalg.norm(self.model.opt.gravity))
         reached_tips = np.flatnonzero(distances < REACHED_M)

@@ -173,7 +173,7 @@ def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
 
 def command_limits(scene: Scene) -> Array:
     """Return `(A, 2)` what a command may be: the control range, for a position servo within its joint's range."""
-    limits, model = command_range(scene), scene.model
+    limits, model = command_range(scene).copy(), scene.model
     for i, actuator in enumerate(scene.actuator_ids.tolist()):
         joint = scene.driven_joints.get(actuator)
         if joint is not None and model.jnt_limited[joint] and _is_position_servo(model, actuator):

@@ -4,28 +4,29 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from candata.policies import _drive as d
+from candata.policies._carrier import Carrier, carrier
 from candata.policies._contract import Array, Plan
 from candata.policies._grasp import grasp
 from candata.scenes import Scene
 
 SETTLE_S = 0.6
-#: Command noise: share of each joint's range (1 sd), and its correlation time.
+#: Command noise: share of each joint's range (1 sd), and its correlation time. What carries the whole hand has less
+#: where `Carrier.noise` says so.
 NOISE_SHARE, NOISE_TIME_S = 0.004, 0.08
 #: Where the object starts around its place in the model (1 sd).
 PLACE_SD_M = 0.003
 
 
 class Postures(NamedTuple):
-    """Commands `(A,)`: open, closed, and how far a free sweep leaves the open hand; and what the wrist slides do."""
+    """Commands `(A,)`: open, closed, and how far a free sweep leaves the open hand; and what carries the hand."""
 
     open: Array
     closed: Array
     sweep: Array
-    rails: d.Rails
+    carrier: Carrier
 
 
 def postures(scene: Scene) -> Postures:
@@ -35,18 +36,17 @@ def postures(scene: Scene) -> Postures:
     where they do not reach one, it closes 60 % of the way to the far end of each range. What carries the whole hand
     stays where it is.
     """
-    model, ids, rails = scene.model, scene.actuator_ids, d.rails(scene)
-    keys = {model.key(k).name: k for k in range(model.nkey)}
+    start = d.open_commands(scene)
+    keys = {scene.model.key(k).name: k for k in range(scene.model.nkey)}
     if {"open", "grasp"} <= set(keys):
-        open_commands, closed_commands = (np.array(model.key_ctrl[keys[name]][ids]) for name in ("open", "grasp"))
-        return Postures(open_commands, closed_commands, closed_commands - open_commands, rails)
-    start = np.clip(d.holding_commands(scene, model.actuator_length0[ids]), *d.command_range(scene).T)
+        closed_commands = np.array(scene.model.key_ctrl[keys["grasp"]][scene.actuator_ids])
+        return Postures(start, closed_commands, closed_commands - start, carrier(scene))
     travel = _travel(scene, start)
     grasp_commands = grasp(scene)
     closed_commands = start + travel if grasp_commands is None else np.array(grasp_commands)
     moves_little = np.abs(closed_commands - start) < np.abs(travel) / 2
     sweep = travel if grasp_commands is None else np.where(moves_little, travel / 2, closed_commands - start)
-    return Postures(start, closed_commands, sweep, rails)
+    return Postures(start, closed_commands, sweep, carrier(scene))
 
 
 def _travel(scene: Scene, start: Array) -> Array:
@@ -83,39 +83,49 @@ def has_hand_and_object(scene: Scene) -> bool:
     return has_hand(scene) and scene.object_id is not None
 
 
-def shift(commands: Array, rail: d.Rail | None, distance: Array | float) -> None:
-    """Move a rail by `distance`, (T,) or a number [m], in place, as its name says; nothing without a rail."""
-    if rail is not None:
-        commands[:, rail.column] += rail.sign * distance
-
-
-def direction(scene: Scene, rail: d.Rail) -> Array:
-    """Return the unit vector `(3,)` in the world along which a rail moves the hand as its name says."""
-    model, actuator = scene.model, int(scene.actuator_ids[rail.column])
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    axis = np.array(data.xaxis[scene.driven_joints[actuator]])
-    return rail.sign * np.sign(model.actuator_gear[actuator, 0]) * axis
+def along(direction: Array | None, distance: Array) -> Array:
+    """Return the path `(T, 6)` of a hand that goes `distance (T,)` [m] in a direction `(3,)`; still without one."""
+    path = np.zeros((len(distance), 6))
+    if direction is not None:
+        path[:, :3] = distance[:, None] * direction
+    return path
 
 
 def finish(
-    scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Array | None = None, dither: bool = True
+    scene: Scene,
+    commands: Array,
+    rng: np.random.Generator,
+    *,
+    path: Array | None = None,
+    shift: Array | None = None,
+    dither: bool = True,
 ) -> Plan:
-    """Return the plan with command noise, the object placed at random, and the joints at the first command.
+    """Return the plan: the hand moved along its path, command noise, the object at random, joints at the first command.
 
     Parameters
     ----------
     commands : (T, A) float64
         Noise-free commands.
+    path : (T, 6) float64, optional
+        Where the hand goes in space, see `Carrier.commands`; added to what `commands` ask of what carries it.
     shift : (3,) float64, optional
         Where the object stands besides its random place [m].
     dither : bool
         Add the command noise; without it the commands are only kept within the actuators' ranges.
+
+    Raises
+    ------
+    ReachError
+        When what carries the hand cannot follow the path.
     """
-    ranges = d.command_range(scene)
+    ranges, hand_carrier = d.command_range(scene), carrier(scene)
+    if path is not None and len(hand_carrier.columns):
+        columns, start = hand_carrier.columns, hand_carrier.start
+        commands = commands.copy()
+        commands[:, columns] += hand_carrier.commands(start, path)[:, columns] - start[columns]
     if dither:
         size = NOISE_SHARE * (ranges[:, 1] - ranges[:, 0])
+        size[hand_carrier.columns] = np.minimum(size[hand_carrier.columns], hand_carrier.noise)
         rise = blend(np.arange(len(commands), dtype=np.float64), 0, 20)[:, None]
         commands = commands + _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz) * (size * rise)
     commands = np.clip(commands, ranges[:, 0], ranges[:, 1])

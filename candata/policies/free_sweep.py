@@ -9,7 +9,7 @@ from candata.policies._contract import Array, Plan, Planner, Policy, Variant
 from candata.policies._drive import servos
 from candata.scenes import Scene
 
-#: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
+#: How far the hand backs off, or half of how far the object is put away, to keep the sweep free [m].
 AWAY_M = 0.14
 #: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the
 #: range; how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos
@@ -39,20 +39,19 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     # A motor without a servo has nothing that would stop it at the far end, nor damping to be told from its joint's.
     stroke = np.where(servos(scene) & (hand.sweep != 0), STROKE * p.way_to_far_end(scene, hand.open), 0.0)
     commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * stroke
-    object_shift = _clear_of_object(scene, hand, commands)
-    if hand.rails.away is not None:
-        rails = hand.rails.columns
-        waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(rails)) * t[:, None])
-        commands[:, rails] += p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves
-    return p.finish(scene, commands, rng, shift=object_shift)
+    path, object_shift = _clear_of_object(scene, hand, len(t))
+    axes = hand.carrier.axes
+    if len(axes):
+        waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(axes)) * t[:, None])
+        path[:, :3] += (p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves) @ axes
+    return p.finish(scene, commands, rng, path=path, shift=object_shift)
 
 
-def _clear_of_object(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
-    """Move the wrist away in place; where no rail can, return how far the object is put away [m]."""
-    if hand.rails.away is not None:
-        p.shift(commands, hand.rails.away, AWAY_M)
-        return None
-    return None if scene.object_id is None else np.array([2 * AWAY_M, 0, 0])
+def _clear_of_object(scene: Scene, hand: p.Postures, count: int) -> tuple[Array, Array | None]:
+    """Return the path `(count, 6)` of a hand that has backed off; if it cannot, how far the object is put away [m]."""
+    away = hand.carrier.away
+    is_moved = away is None and scene.object_id is not None
+    return p.along(away, np.full(count, AWAY_M)), np.array([2 * AWAY_M, 0, 0]) if is_moved else None
 
 
 def _reversals(share: float, low_hz: float, high_hz: float, sharpness: float = 0.0) -> Planner:
@@ -77,7 +76,8 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharpness: float = 0
         wave = np.tanh(sharpness * wave) / np.tanh(sharpness) if sharpness else wave
         travel = hand.closed - hand.open
         commands = hand.open + 0.5 * travel + 0.5 * share * p.blend(t, 0, 0.3)[:, None] * wave * travel
-        return p.finish(scene, commands, rng, shift=_clear_of_object(scene, hand, commands), dither=False)
+        path, object_shift = _clear_of_object(scene, hand, len(t))
+        return p.finish(scene, commands, rng, path=path, shift=object_shift, dither=False)
 
     return plan
 
@@ -106,7 +106,8 @@ def _jumps(share: float, rate_hz: float | None) -> Planner:
         else:
             out[:, moving_columns] = ((rate_hz * t) % 1 >= 0.5)[:, None]
         commands = hand.open + out * stroke
-        return p.finish(scene, commands, rng, shift=_clear_of_object(scene, hand, commands), dither=False)
+        path, object_shift = _clear_of_object(scene, hand, len(t))
+        return p.finish(scene, commands, rng, path=path, shift=object_shift, dither=False)
 
     return plan
 

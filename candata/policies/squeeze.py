@@ -10,17 +10,17 @@ from candata.scenes import Scene
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
-    """Return the plan; squeezing rate and depth are random, and the object is dragged up a little."""
+    """Return the plan; squeezing rate and depth are random, and the object is dragged a little."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
     unit = duration_s / 3.2
     grip_profile = p.blend(t, 0.1 * unit, rng.uniform(0.4, 0.7) * unit) - p.blend(t, 2.7 * unit, 0.35 * unit)
     depth, rate = rng.uniform(0.1, 0.25), rng.uniform(0.7, 1.6)
     wave = 1 + depth * np.sin(2 * np.pi * rate * (t - 0.8 * unit)) * p.blend(t, 0.8 * unit, 0.2 * unit)
     commands = hand.open + (grip_profile * wave)[:, None] * (hand.closed - hand.open)
-    if len(hand.rails.columns):
-        pull = p.blend(t, 1.2 * unit, 0.6 * unit) - p.blend(t, 2.1 * unit, 0.5 * unit)
-        commands[:, hand.rails.columns] += pull[:, None] * rng.uniform(-0.012, 0.012, len(hand.rails.columns))
-    return p.finish(scene, commands, rng)
+    axes = hand.carrier.axes
+    pull = p.blend(t, 1.2 * unit, 0.6 * unit) - p.blend(t, 2.1 * unit, 0.5 * unit)
+    path = p.along(rng.uniform(-0.012, 0.012, len(axes)) @ axes, pull)
+    return p.finish(scene, commands, rng, path=path)
 
 
 def _levels(*grips: float) -> Planner:

@@ -14,9 +14,10 @@ import yaml
 from candata.errors import SceneError
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK, assemble
+from candata.scenes.composition import compose
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
-from candata.schema.scene import SceneFile
+from candata.schema.scene import ArmWithHand, SceneFile
 
 Way = Literal["patch", "whole"]
 #: How the names of candata's own sensors begin; it adds them again when it loads a scene.
@@ -32,19 +33,19 @@ class Copy:
     model: Path
 
 
-def is_file(scene: Scene) -> bool:
-    """Tell whether a scene is a user's file rather than one of the library."""
-    return Path(scene.name).suffix in (".yaml", ".yml")
+def has_model_file(scene: Scene) -> bool:
+    """Tell whether a scene is a user's file of one model, neither of the library nor of an arm with a hand."""
+    return Path(scene.name).suffix in (".yaml", ".yml") and isinstance(scene.file.model, str)
 
 
 def ways(scene: Scene) -> tuple[Way, ...]:
     """Return how a scene can be exported: a user's MJCF as a patch or a whole model, all else as a whole model."""
-    return ("patch", "whole") if is_file(scene) and _source(scene).suffix.lower() == ".xml" else ("whole",)
+    return ("patch", "whole") if has_model_file(scene) and _source(scene).suffix.lower() == ".xml" else ("whole",)
 
 
 def _source(scene: Scene) -> Path:
     """Return the model file of a user's scene."""
-    return model_path(_absolute(scene.name), scene.file.model)
+    return model_path(_absolute(scene.name), str(scene.file.model))
 
 
 def _absolute(path: str | Path) -> Path:
@@ -55,7 +56,7 @@ def _absolute(path: str | Path) -> Path:
 def copy_scene(scene: Scene, way: Way, folder: Path) -> Copy:
     """Return a copy of a scene's files in `folder`, with all that the model names (meshes, textures, includes)."""
     folder.mkdir(parents=True)
-    if not is_file(scene):
+    if not has_model_file(scene):
         return _save_model(scene, folder, folder / "scene.xml", folder / "scene.yaml")
     scene_path, source = _absolute(scene.name), _absolute(_source(scene))
     source_paths = [scene_path, source, *(_absolute(p) for p in mujoco.mju_getXMLDependencies(str(source)))]
@@ -71,7 +72,7 @@ def copy_scene(scene: Scene, way: Way, folder: Path) -> Copy:
 def _save_model(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
     """Return a copy whose model is one file as MuJoCo saves it, servos of a URDF included."""
     spec = _spec(scene)
-    if is_file(scene) and _source(scene).suffix.lower() == ".urdf":
+    if has_model_file(scene) and _source(scene).suffix.lower() == ".urdf":
         _with_meshes(spec, _source(scene), model.parent)
     assemble(scene.name, scene.file, spec)
     for sensor in list(spec.sensors):
@@ -91,18 +92,35 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
     Raises
     ------
     SceneError
-        When the scene's file is gone or cannot be read, or the scene holds another object than its files do.
+        When the scene's file is gone or cannot be read, the scene holds another object than its files do, or it
+        consists of an arm and a hand with meshes.
     """
-    if not is_file(scene) and OBJECT_MARK in scene.name:
+    if not has_model_file(scene) and OBJECT_MARK in scene.name:
         raise SceneError(
             f"scene {scene.name} holds an object that its model does not",
             expected="a built-in scene, or a scene.yaml",
             found=f"another object after {OBJECT_MARK}",
             fix="make an MJCF that attaches the object's scene.xml, then candata scene init",
         )
-    if not is_file(scene):
+    if isinstance(scene.file.model, ArmWithHand):
+        return _composed(scene, scene.file.model)
+    if not has_model_file(scene):
         return SCENES.load(scene.name).build()
     return read_model(_source(scene))
+
+
+def _composed(scene: Scene, model: ArmWithHand) -> mujoco.MjSpec:
+    """Return the spec of an arm with a hand, whose files lie in folders of their own."""
+    spec = compose(model.arm, model.hand, at=model.at, path=_absolute(scene.name))
+    names = [mesh.file for mesh in spec.meshes if mesh.file]
+    if names:
+        raise SceneError(
+            f"scene {scene.name} is not exported: its arm and hand name files of different folders",
+            expected="one model file, or an arm and a hand without meshes",
+            found=", ".join(names[:3]),
+            fix="make one MJCF of both with <attach>, then candata scene init",
+        )
+    return spec
 
 
 def _with_meshes(spec: mujoco.MjSpec, source: Path, folder: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 #: Files of the folder that parent and child share.
 MODEL, POSES, REQUEST, FRAMES = "model.mjb", "qpos.npy", "request.json", "frames.npy"
+GHOST_MODEL, GHOST_POSES = "ghost.mjb", "ghost.npy"
 #: Least ambient light, and the background where a model has no sky of its own.
 AMBIENT, SKY = 0.35, (237, 240, 242)
 
@@ -30,17 +31,33 @@ def main(folder: Path) -> None:
     model.vis.headlight.ambient[:] = np.maximum(model.vis.headlight.ambient, AMBIENT)
     has_no_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX not in model.tex_type
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
+
+    def picture() -> np.ndarray:
+        """Return the renderer's scene, its background light where it has no sky of its own."""
+        pixels = renderer.render().copy()
+        if has_no_sky:
+            renderer.enable_segmentation_rendering()
+            pixels[renderer.render()[..., 0] < 0] = SKY
+            renderer.disable_segmentation_rendering()
+        return pixels
+
+    with_ghost = (folder / GHOST_MODEL).exists()
+    if with_ghost:
+        ghost_model = mujoco.MjModel.from_binary_path(str(folder / GHOST_MODEL))
+        ghost_data, ghost_poses = mujoco.MjData(ghost_model), np.load(folder / GHOST_POSES)
+        shown = mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
     frames = []
-    for pose in np.load(folder / POSES):
+    for row, pose in enumerate(np.load(folder / POSES)):
         data.qpos[:] = pose
         mujoco.mj_forward(model, data)
         renderer.update_scene(data, camera=_camera(request["camera"]))
-        picture = renderer.render().copy()
-        if has_no_sky:
-            renderer.enable_segmentation_rendering()
-            picture[renderer.render()[..., 0] < 0] = SKY
-            renderer.disable_segmentation_rendering()
-        frames.append(picture.reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3)).round())
+        frame = picture()
+        if with_ghost and np.isfinite(ghost_poses[row]).all():
+            ghost_data.qpos[:] = ghost_poses[row]
+            mujoco.mj_forward(ghost_model, ghost_data)
+            mujoco.mjv_addGeoms(ghost_model, ghost_data, *shown, renderer.scene)
+            frame = (1 - request["opacity"]) * frame + request["opacity"] * picture()
+        frames.append(frame.reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3)).round())
     np.save(folder / FRAMES, np.stack(frames).astype(np.uint8))
 
 

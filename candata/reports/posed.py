@@ -57,6 +57,8 @@ class ScenePoser:
         Whether the object's pose is in the episode.
     missing_joints : tuple of str
         Joints of the scene that the episode lacks; they stay where the model has them.
+    unknown_joints : tuple of str
+        Joints of the episode that the scene lacks.
     """
 
     scene: Scene
@@ -64,20 +66,25 @@ class ScenePoser:
     joints: tuple[tuple[int, int], ...]
     with_object: bool
     missing_joints: tuple[str, ...]
+    unknown_joints: tuple[str, ...]
 
     def chunks(self, episode: Episode) -> Iterator[PosedRows]:
         """Yield the posed rows of an episode, a few thousand at a time."""
+        rows = self.valid_rows(episode)
+        for start in range(0, len(rows), ROWS):
+            yield self._pose(episode, rows[start : start + ROWS])
+
+    def valid_rows(self, episode: Episode) -> NDArray[np.int64]:
+        """Return the rows in which joints and object are valid, as far as the episode has them."""
         valid = np.ones(len(episode), bool)
         for channel in ("joint_position",) * bool(self.joints) + ("object_pose",) * self.with_object:
             valid &= episode.valid(channel)
-        rows = np.flatnonzero(valid)
-        for start in range(0, len(rows), ROWS):
-            yield self._pose(episode, rows[start : start + ROWS])
+        return np.flatnonzero(valid)
 
     def _pose(self, episode: Episode, rows: NDArray[np.int64]) -> PosedRows:
         """Return some rows, posed."""
         model, bodies = self.scene.model, list(self.bodies)
-        data, qpos = mujoco.MjData(model), self._qpos(episode, rows)
+        data, qpos = mujoco.MjData(model), self.qpos(episode, rows)
         position, quaternion = np.empty((len(rows), len(bodies), 3)), np.empty((len(rows), len(bodies), 4))
         count = len(self.scene.file.fingertips)
         tip, frame = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
@@ -89,8 +96,8 @@ class ScenePoser:
                 tip[k, i], frame[k, i] = self._tip(data, i)
         return PosedRows(rows, position, quaternion, tip, frame)
 
-    def _qpos(self, episode: Episode, rows: NDArray[np.int64]) -> Array:
-        """Return the model's positions in some rows."""
+    def qpos(self, episode: Episode, rows: NDArray[np.int64]) -> Array:
+        """Return the model's positions `(K, nq)` in some rows."""
         qpos = np.tile(self.scene.model.qpos0, (len(rows), 1))
         for column, address in self.joints:
             qpos[:, address] = episode["joint_position"][rows, column]
@@ -136,7 +143,8 @@ def poser(scene: Scene, episode: Episode) -> ScenePoser:
     hidden_bodies = set() if with_object or scene.object_id is None else subtree(scene.model, scene.object_id)
     bodies = sorted({int(scene.model.geom_bodyid[g]) for g in shown_geoms(scene.model)} - hidden_bodies)
     missing_joints = tuple(name for name in address if name not in columns)
-    return ScenePoser(scene, tuple(bodies), joints, with_object, missing_joints)
+    unknown_joints = tuple(name for name in columns if name not in address)
+    return ScenePoser(scene, tuple(bodies), joints, with_object, missing_joints, unknown_joints)
 
 
 def shown_geoms(model: mujoco.MjModel) -> list[int]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.reports.camera import SHOWN_GROUPS, FreeCamera, Pinhole, pinhole
+from candata.reports.ghost import OPACITY, Ghost, ghost_model
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
@@ -21,23 +22,40 @@ SUN, SHADE = np.array([0.32, -0.48, 0.817]), 0.55
 EDGE = 0.03
 
 
-def draw(model: mujoco.MjModel, qpos: Array, camera: str | FreeCamera, width: int, height: int) -> list[Image]:
-    """Return one picture (height, width, 3) uint8 of each row of `qpos` (K, nq)."""
+def draw(
+    model: mujoco.MjModel,
+    qpos: Array,
+    camera: str | FreeCamera,
+    width: int,
+    height: int,
+    ghost: Ghost | None = None,
+) -> list[Image]:
+    """Return one picture (height, width, 3) uint8 of each row of `qpos` (K, nq), with the ghost of that row."""
     data, frames = mujoco.MjData(model), []
-    for pose in qpos:
-        data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
-        frames.append(_frame(model, data, pinhole(model, data, camera), width, height))
+    alone = None if ghost is None else ghost_model(model, ghost)
+    ghost_data = None if alone is None else mujoco.MjData(alone)
+    for row, pose in enumerate(qpos):
+        states = [(model, _forward(model, data, pose))]
+        if ghost is not None and np.isfinite(ghost.qpos[row]).all():
+            states.append((alone, _forward(alone, ghost_data, ghost.qpos[row])))
+        frames.append(_frame(states, pinhole(model, data, camera), width, height))
     return frames
 
 
-def _frame(model: mujoco.MjModel, data: mujoco.MjData, camera: Pinhole, width: int, height: int) -> Image:
-    """Return the picture of one state: a ray a pixel, four where the picture has an edge."""
+def _forward(model: mujoco.MjModel, data: mujoco.MjData, pose: Array) -> mujoco.MjData:
+    """Return `data` with everything where the positions `pose` put it."""
+    data.qpos[:] = pose
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def _frame(states: list[tuple[mujoco.MjModel, mujoco.MjData]], camera: Pinhole, width: int, height: int) -> Image:
+    """Return the picture of one state, a ghost's last: a ray a pixel, four where the picture has an edge."""
     x, y = (side.ravel() for side in np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5))
 
     def colours_at(dx: float, dy: float, pixels: NDArray[np.intp]) -> Array:
         rays = _directions(camera, x[pixels] + dx, y[pixels] + dy, width, height)
-        return _colours(model, data, camera.position, rays)
+        return _colours(states, camera.position, rays)
 
     colour = colours_at(0.0, 0.0, np.arange(width * height))
     edges = np.flatnonzero(_is_edge(colour.reshape(height, width, 3)))
@@ -67,13 +85,16 @@ def _directions(camera: Pinhole, x: Array, y: Array, width: int, height: int) ->
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def _colours(model: mujoco.MjModel, data: mujoco.MjData, start: Array, rays: Array) -> Array:
-    """Return the colours (N, 3) that rays from `start` see."""
-    geom, distance, normal = _cast(model, data, start, rays)
-    colour = np.tile(np.array(SKY), (len(rays), 1))
-    hit = geom >= 0
-    points = start + rays[hit] * distance[hit, None]
-    colour[hit] = _lit_colours(model, data, geom[hit], points, normal[hit])
+def _colours(states: list[tuple[mujoco.MjModel, mujoco.MjData]], start: Array, rays: Array) -> Array:
+    """Return the colours (N, 3) that rays from `start` see: those of the first state, the others' through them."""
+    colour, nearest = np.tile(np.array(SKY), (len(rays), 1)), np.full(len(rays), np.inf)
+    for (model, data), opacity in zip(states, (1.0, OPACITY), strict=False):
+        geom, distance, normal = _cast(model, data, start, rays)
+        hit = (geom >= 0) & (distance < nearest)
+        points = start + rays[hit] * distance[hit, None]
+        lit_colour = _lit_colours(model, data, geom[hit], points, normal[hit])
+        colour[hit] = opacity * lit_colour + (1 - opacity) * colour[hit]
+        nearest[hit] = distance[hit]
     return colour
 
 

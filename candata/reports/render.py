@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from candata.datasets.writing import replacing
 from candata.reports import camera as cameras
 from candata.reports import offscreen, png, rays
+from candata.reports.ghost import OPACITY, Ghost, ghost_model
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
@@ -72,15 +74,21 @@ def render_frames(
     camera: str | cameras.FreeCamera | None = None,
     width: int = 320,
     height: int = 240,
+    ghost: Ghost | None = None,
+    libraries: Sequence[str] | None = None,
 ) -> RenderedFrames:
-    """Return the pictures of `render_poses` and the GL library that made them; without one they are drawn."""
+    """Return the pictures of `render_poses` and the GL library that made them; without one they are drawn.
+
+    `ghost` is seen in them too. `libraries` are the GL libraries to try, by default those that the user's environment
+    asks for.
+    """
     qpos = np.atleast_2d(np.asarray(qpos, float))
     view = cameras.choose_camera(model, qpos, camera, width / height)
-    for library in _libraries():
-        frames = _with_library(library, model, qpos, view, width, height)
+    for library in _libraries() if libraries is None else libraries:
+        frames = _with_library(library, model, qpos, view, width, height, ghost)
         if frames is not None:
             return RenderedFrames(frames, library)
-    return RenderedFrames(tuple(rays.draw(model, qpos, view, width, height)), None)
+    return RenderedFrames(tuple(rays.draw(model, qpos, view, width, height, ghost)), None)
 
 
 def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int = 960, height: int = 720) -> bool:
@@ -114,14 +122,23 @@ def _libraries() -> tuple[str, ...]:
 
 
 def _with_library(
-    library: str, model: mujoco.MjModel, qpos: Array, view: str | cameras.FreeCamera, width: int, height: int
+    library: str,
+    model: mujoco.MjModel,
+    qpos: Array,
+    view: str | cameras.FreeCamera,
+    width: int,
+    height: int,
+    ghost: Ghost | None,
 ) -> tuple[Image, ...] | None:
     """Return the pictures made by one GL library in a child process, or None when it fails."""
     with tempfile.TemporaryDirectory(prefix="candata-render-") as name:
         folder = Path(name)
         mujoco.mj_saveModel(model, str(folder / offscreen.MODEL))
         np.save(folder / offscreen.POSES, qpos)
-        request = {"width": width, "height": height, "camera": _as_json(view)}
+        if ghost is not None:
+            mujoco.mj_saveModel(ghost_model(model, ghost), str(folder / offscreen.GHOST_MODEL))
+            np.save(folder / offscreen.GHOST_POSES, ghost.qpos)
+        request = {"width": width, "height": height, "camera": _as_json(view), "opacity": OPACITY}
         (folder / offscreen.REQUEST).write_text(json.dumps(request))
         if not _run_child(library, folder) or not (folder / offscreen.FRAMES).exists():
             return None

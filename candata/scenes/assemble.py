@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.scenes import motors, sensors, transmission
+from candata.scenes.composition import compose
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
@@ -21,7 +22,7 @@ from candata.scenes.object_change import replace_object
 from candata.scenes.object_folder import named_object
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.effect import EffectSetting
-from candata.schema.scene import SceneFile, Servo
+from candata.schema.scene import ArmWithHand, SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
 #: Endings of files that are models.
@@ -52,6 +53,8 @@ class Scene:
         Effects that belong to the nominal simulator, see `candata.simulate.with_effects`.
     plain : Scene or None
         The scene without them; None where there are none.
+    has_other_object : bool
+        Whether another object is in the place of the scene's own: its keyframes know nothing of it.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Scene:
     policies: tuple[str, ...] = ()
     given_effects: tuple[EffectSetting, ...] = ()
     plain: Scene | None = None
+    has_other_object: bool = False
 
     @property
     def substeps(self) -> int:
@@ -146,6 +150,16 @@ class Scene:
     def fingertip_bodies(self) -> NDArray[np.int64]:
         """`(F,)` ids of the bodies that carry the fingertips."""
         return np.array([_carrier(self.model, tip) for tip in self.file.fingertips], int)
+
+    @cached_property
+    def fingertip_geoms(self) -> tuple[NDArray[np.int64], ...]:
+        """Ids of each fingertip's colliding geoms: the geom itself, or those of its body and of what that carries."""
+        return tuple(
+            np.array([self.model.geom(tip).id])
+            if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, tip) < 0
+            else _colliding_geoms(self.model, subtree(self.model, int(body)))
+            for tip, body in zip(self.file.fingertips, self.fingertip_bodies, strict=True)
+        )
 
     @cached_property
     def force_sensors(self) -> NDArray[np.int64]:
@@ -238,7 +252,7 @@ def load_scene(name: str | Path) -> Scene:
         return assemble(str(name), *_source(name))
     file, spec, policies = _source(base)
     replace_object(base, file, spec, named_object(object_name))
-    return assemble(str(name), file, spec, policies)
+    return replace(assemble(str(name), file, spec, policies), has_other_object=True)
 
 
 def _source(name: str | Path) -> tuple[SceneFile, mujoco.MjSpec, tuple[str, ...]]:
@@ -275,6 +289,8 @@ def _from_file(path: Path) -> tuple[SceneFile, mujoco.MjSpec]:
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     file = SceneFile.parse(read_yaml(path), path)
+    if isinstance(file.model, ArmWithHand):
+        return file, compose(file.model.arm, file.model.hand, at=file.model.at, path=path)
     if file.model == "builtin" or (file.model in SCENES and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)

@@ -1,4 +1,4 @@
-"""The contracts of a hand, of an object and of a built-in scene."""
+"""The contracts of an arm, of a hand, of an object and of a built-in scene."""
 
 from __future__ import annotations
 
@@ -11,6 +11,28 @@ import mujoco
 from candata.plugins import Registry
 from candata.schema.object import ObjectFile
 from candata.schema.scene import SceneFile
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm: how to add it to a scene, and where a hand is mounted.
+
+    Attributes
+    ----------
+    name : str
+        Registered name, the file's name.
+    add : callable
+        `(spec, parent body, place [m], quat w x y z)` adds bodies, joints and servos.
+    joints : tuple of str
+        Joints from the base outwards; actuators bear the same names.
+    flange : str
+        Site that carries a hand; its +z leads out of the arm.
+    """
+
+    name: str
+    add: Callable[[mujoco.MjSpec, mujoco.MjsBody, tuple[float, float, float], tuple[float, float, float, float]], None]
+    joints: tuple[str, ...]
+    flange: str
 
 
 @dataclass(frozen=True)
@@ -84,6 +106,7 @@ class SceneObject:
         return self.file.about
 
 
+ARMS = Registry("arms", "candata.scenes.arms", "ARM", Arm, "name")
 HANDS = Registry("hands", "candata.scenes.hands", "HAND", Hand, "name")
 OBJECTS = Registry("objects", "candata.scenes.objects", "OBJECT", SceneObject, "about")
 SCENES = Registry("scenes", "candata.scenes.library", "SCENE", BuiltinScene, "about")

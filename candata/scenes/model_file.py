@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 
-from candata.errors import SceneError, Where
+from candata.errors import MissingExtraError, SceneError, Where
 from candata.scenes.first_load import load_first
 from candata.scenes.mesh_paths import resolve_meshes
 from candata.scenes.model_text import check_text
 
 #: What MuJoCo raises of a model that it cannot read or compile; too little memory is a RuntimeError.
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
+#: Package that downloads the models of MuJoCo Menagerie, by its authors.
+MENAGERIE = "mujoco_menagerie"
 #: Kinds of elements whose names a scene may read.
 _NAMED_KINDS = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
 #: Kinds of elements that may be read from a file.
@@ -25,14 +28,20 @@ _OF_FILES = ("meshes", "hfields", "textures", "skins")
 def model_path(path: Path, model: str) -> Path:
     """Return where the model of a scene file at `path` lies: beside it, or in an installed package as `PACKAGE:FILE`.
 
+    `mujoco_menagerie:ID` is a robot of MuJoCo Menagerie, `mujoco_menagerie:ID/MODEL` one of its models by name.
+
     Raises
     ------
+    MissingExtraError
+        When it is one of MuJoCo Menagerie's, whose package is not installed.
     SceneError
-        When the package is not installed.
+        When the package is not installed, or MuJoCo Menagerie has no such model.
     """
     package, colon, file_name = model.partition(":")
     if not colon or not package.isidentifier() or (path.parent / model).exists():
         return path.parent / model
+    if package == MENAGERIE:
+        return _menagerie_file(file_name, path)
     package_spec = find_spec(package)
     folders = list(package_spec.submodule_search_locations or ()) if package_spec else []
     if not folders:
@@ -43,6 +52,24 @@ def model_path(path: Path, model: str) -> Path:
             fix=f"pip install {package.replace('_', '-')}",
         )
     return Path(folders[0]) / file_name
+
+
+def _menagerie_file(name: str, path: Path) -> Path:
+    """Return the file of a model of MuJoCo Menagerie, which its package downloads when it is first asked for."""
+    try:
+        menagerie = import_module(MENAGERIE)
+    except ModuleNotFoundError:
+        raise MissingExtraError(MENAGERIE.replace("_", "-"), "menagerie") from None
+    robot_name, _, model_name = name.partition("/")
+    try:
+        robot = menagerie.get(robot_name)
+        return Path(robot.xml(model_name or robot.default_model))
+    except (menagerie.MenagerieError, OSError) as error:
+        raise SceneError(
+            f"MuJoCo Menagerie gives no model {name}: {error}",
+            where=Where(path=str(path)),
+            fix="set MENAGERIE_ROOT to the folder of a clone of github.com/google-deepmind/mujoco_menagerie",
+        ) from None
 
 
 def read_model(path: Path) -> mujoco.MjSpec:

@@ -9,9 +9,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from candata.errors import DataError, Where
 from candata.schema.channels import CHANNELS, QUATERNION, VALID_SUFFIX, canonical_order
+from candata.schema.disturbance import Kick
 from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
 
@@ -40,7 +42,7 @@ class EpisodeMeta(Record):
 
     `newton_per_count` is the scale of `taxels`. `labels` are what is known of the run: settings and quantities, with
     the unit in the name. `unscaled` lists channels that are kept in a unit of the source that is no SI unit, or not
-    known: their shape in time counts, their size does not.
+    known: their shape in time counts, their size does not. `kicks` are what disturbed a simulation.
     """
 
     id: str
@@ -64,6 +66,7 @@ class EpisodeMeta(Record):
     invalid_counts: dict[str, int] = {}
     labels: dict[str, bool | int | float | str] = {}
     unscaled: tuple[str, ...] = ()
+    kicks: tuple[Kick, ...] = Field(default=(), exclude_if=lambda kicks: not kicks)
 
 
 @dataclass(frozen=True, eq=False)

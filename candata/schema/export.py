@@ -17,6 +17,7 @@ from candata.schema.episode import EpisodeMeta
 from candata.schema.exchange import ExportFile, FeatureMap
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
 from candata.schema.object import ObjectFile, ObjectList
+from candata.schema.policy_card import PolicyCard
 from candata.schema.quarantine import QuarantineFile
 from candata.schema.randomisation import RandomisationFile
 from candata.schema.record import Record
@@ -38,6 +39,7 @@ _READ_RECORDS: dict[str, type[Record]] = {
     "map": TableMap,
     "object": ObjectFile,
     "objects": ObjectList,
+    "policy-card": PolicyCard,
     "randomisation": RandomisationFile,
     "scene": SceneFile,
     "topics": TopicMap,

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import Value
 from candata.schema.record import Record
 
@@ -59,7 +60,15 @@ class RandomEffect(Record):
 
 
 class RandomisationFile(Record):
-    """A file for `generate-sim --randomise`: a scene, and effects that are drawn anew for each episode."""
+    """A file for `generate-sim --randomise`: a scene, and effects and disturbances that are drawn for each episode."""
 
     scene: str | None = None
-    effects: tuple[RandomEffect, ...] = Field(min_length=1)
+    effects: tuple[RandomEffect, ...] = ()
+    disturbances: Disturbances | None = None
+
+    @model_validator(mode="after")
+    def _is_something(self) -> Self:
+        """Refuse a file that draws nothing."""
+        if not self.effects and self.disturbances in (None, Disturbances()):
+            raise ValueError("expected effects or disturbances")
+        return self

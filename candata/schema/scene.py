@@ -51,10 +51,21 @@ class Repeatability(Record):
     time_s: Positive = 0.5
 
 
-class SceneFile(Record):
-    """`scene.yaml`: an MJCF or URDF and the roles of what is in it."""
+class ArmWithHand(Record):
+    """An arm that carries a hand: a model file, or the name of a registered one, each.
 
-    model: str
+    `at` is the site of the arm that carries the hand; by default the flange of a registered arm.
+    """
+
+    arm: str
+    hand: str
+    at: str | None = None
+
+
+class SceneFile(Record):
+    """`scene.yaml`: an MJCF or URDF, or an arm with a hand, and the roles of what is in it."""
+
+    model: str | ArmWithHand
     rate_hz: Rate
     object: str | None = None
     joints: tuple[str, ...] = ()

@@ -17,6 +17,7 @@ from candata.schema.episode import Episode
 from candata.schema.outcome import is_wanted
 from candata.schema.quarantine import QuarantinedEpisode
 from candata.schema.scene import Noise
+from candata.simulate.closed_loop import FailedStepsError
 from candata.simulate.episodes import ATTEMPT_STREAM, EpisodeJob, planned, tried_episodes, unstable_error
 from candata.simulate.perturbation import drawn
 
@@ -83,16 +84,29 @@ def _tried(
     made: dict[str, Episode | CandataError] = {
         name: plan for name, plan in plans.items() if isinstance(plan, CandataError)
     }
-    if playable:
-        some_jobs, some_plans = zip(*playable, strict=True)
-        episodes, fails = tried_episodes(scene, some_jobs, duration_s=duration_s, noise=noise, plans=some_plans)
-        for job, plan, episode, failed_s in zip(some_jobs, some_plans, episodes, fails, strict=True):
-            is_unstable = bool(np.isfinite(failed_s))
-            error = (
-                unstable_error(scene, job, float(failed_s)) if is_unstable else _start_error(scene, job, plan, episode)
-            )
-            made[job.id] = error or episode
+    made |= _played(scene, playable, duration_s, noise)
     return [made[job.id] for job in jobs]
+
+
+def _played(
+    scene: Scene, playable: Sequence[tuple[EpisodeJob, Plan]], duration_s: float, noise: Noise | None
+) -> dict[str, Episode | CandataError]:
+    """Return by id what became of each job that has a plan; those beside a policy that fails are played once more."""
+    if not playable:
+        return {}
+    jobs, plans = zip(*playable, strict=True)
+    try:
+        episodes, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, plans=plans)
+    except FailedStepsError as failure:
+        others = [(job, plan) for job, plan in playable if job.id not in failure.by_episode]
+        return {**failure.by_episode, **_played(scene, others, duration_s, noise)}
+    made: dict[str, Episode | CandataError] = {}
+    for job, plan, episode, failed_s in zip(jobs, plans, episodes, fails, strict=True):
+        if np.isfinite(failed_s):
+            made[job.id] = unstable_error(scene, job, float(failed_s))
+        else:
+            made[job.id] = _start_error(scene, job, plan, episode) or episode
+    return made
 
 
 def _plan(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan | CandataError:

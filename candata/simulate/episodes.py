@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
-from candata.policies import Motion, Plan, motion_plan, policy
+from candata.policies import Motion, Plan, StepPolicy, command_limits, motion_plan, opening_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.schema.contact import fingertip_contact
+from candata.schema.disturbance import Disturbances, Kick
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
+from candata.simulate.closed_loop import ClosedLoop, Pilot
+from candata.simulate.disturbances import Kicks, drawn_command_noise, drawn_kicks
 from candata.simulate.loop import Alter, Trajectory, rollout
 from candata.simulate.outcome import object_motion, outcome
 from candata.simulate.perturbation import Draw, perturbed
@@ -24,6 +28,7 @@ from candata.simulate.perturbation import Draw, perturbed
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
 PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM, ATTEMPT_STREAM = 0, 1, 2, 3
+COMMAND_STREAM, KICK_STREAM, POLICY_STREAM = 4, 5, 6
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,10 @@ class EpisodeJob:
         Seed of the sensor noise, where it is not `seed`.
     motion : Motion, optional
         What to play instead of a policy.
+    step_policy : StepPolicy, optional
+        What gives the commands in a closed loop, instead of a policy.
+    disturbances : Disturbances, optional
+        Noise on its commands, and kicks.
     object : str, optional
         Name of the object that is in the place of the scene's own; the episode then bears the digest of its scene too.
     draw : Draw, optional
@@ -65,6 +74,8 @@ class EpisodeJob:
     point_cloud: str | None = None
     noise_seed: int | None = None
     motion: Motion | None = None
+    step_policy: StepPolicy | None = None
+    disturbances: Disturbances | None = None
     object: str | None = None
     draw: Draw | None = None
 
@@ -134,26 +145,40 @@ def tried_episodes(
 
     Not a number where it did not; before zero, while the model settled. From there on such an episode means nothing.
     Parameters are those of `make_episodes`, and the jobs' `plans` where they are at hand.
+
+    Raises
+    ------
+    FailedStepsError
+        When policies in a closed loop give no commands.
     """
     plans = plans or [planned(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
+    pilots = [_pilot(scene, j, len(p.commands), noise) for j, p in zip(jobs, plans, strict=True)]
+    kicks = [_kicks(scene, j, len(p.commands)) for j, p in zip(jobs, plans, strict=True)]
+    closed_loop = ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene))
     trajectory = rollout(
         scene,
         commands,
         np.stack([p.qpos for p in plans]),
         np.stack([p.qvel for p in plans]),
         [j.effects for j in jobs],
+        observer=Kicks(scene, kicks, settle) if any(kicks) else None,
+        closed_loop=closed_loop if any(pilots) else None,
         settle=settle,
         threads=threads,
         alter=alter,
         keep_state=any(p.goal for p in plans),
     )
+    closed_loop.check()
+    plans = [
+        replace(p, commands=given[settle : settle + len(p.commands)]) for p, given in zip(plans, commands, strict=True)
+    ]
     ends = np.array([settle + len(p.commands) for p in plans])
     fails = np.where(trajectory.failed < ends, (trajectory.failed - settle) / scene.file.rate_hz, np.nan)
-    numbered_jobs = enumerate(zip(jobs, plans, strict=True))
-    return [_episode(scene, j, p, trajectory, i, settle, noise) for i, (j, p) in numbered_jobs], fails
+    numbered_jobs = enumerate(zip(jobs, plans, kicks, strict=True))
+    return [_episode(scene, j, p, k, trajectory, i, settle, noise) for i, (j, p, k) in numbered_jobs], fails
 
 
 def _in_words(job: EpisodeJob) -> str:
@@ -172,9 +197,41 @@ def planned(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
         When the policy plans what cannot be played: too few or too many commands, or numbers that are not finite.
     """
     rng = _rng(job, PLAN_STREAM)
+    if job.step_policy is not None:
+        return opening_plan(scene, rng, duration_s)
     plan = motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
     _refuse_impossible(scene, job, plan)
-    return perturbed(scene, plan, job.draw) if job.draw else plan
+    plan = perturbed(scene, plan, job.draw) if job.draw else plan
+    noise = _command_noise(scene, job, len(plan.commands))
+    return replace(plan, commands=np.clip(plan.commands + noise, *command_limits(scene).T)) if noise.any() else plan
+
+
+def _command_noise(scene: Scene, job: EpisodeJob, rows: int) -> Array:
+    """Return what is added to the commands of a job, `(T, A)`."""
+    noise = job.disturbances.command_noise if job.disturbances else None
+    if noise is None:
+        return np.zeros((rows, len(scene.actuator_ids)))
+    return drawn_command_noise(noise, scene, _rng(job, COMMAND_STREAM), rows)
+
+
+def _kicks(scene: Scene, job: EpisodeJob, rows: int) -> tuple[Kick, ...]:
+    """Return the kicks of a job."""
+    if job.disturbances is None:
+        return ()
+    return drawn_kicks(job.disturbances, _rng(job, KICK_STREAM), rows / scene.file.rate_hz)
+
+
+def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pilot | None:
+    """Return what gives the commands of a job in a closed loop; None where they are planned."""
+    if job.step_policy is None:
+        return None
+    return Pilot(
+        job.id,
+        partial(job.step_policy.begin, scene, _rng(job, POLICY_STREAM)),
+        lambda readings: add_noise(readings, noise, _rng(job, NOISE_STREAM)),
+        rows,
+        _command_noise(scene, job, rows),
+    )
 
 
 def _refuse_impossible(scene: Scene, job: EpisodeJob, plan: Plan) -> None:
@@ -212,7 +269,14 @@ def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
 
 
 def _episode(
-    scene: Scene, job: EpisodeJob, plan: Plan, trajectory: Trajectory, index: int, settle: int, noise: Noise | None
+    scene: Scene,
+    job: EpisodeJob,
+    plan: Plan,
+    kicks: tuple[Kick, ...],
+    trajectory: Trajectory,
+    index: int,
+    settle: int,
+    noise: Noise | None,
 ) -> Episode:
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
@@ -227,7 +291,7 @@ def _episode(
         rule = ContactRule()
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, rule, _outcome(scene, plan, trajectory, index, part)), arrays)
+    return Episode(_meta(scene, job, rule, kicks, _outcome(scene, plan, trajectory, index, part)), arrays)
 
 
 def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part: slice) -> str | None:
@@ -242,7 +306,9 @@ def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part:
     return outcome(plan.goal, object_motion(scene, qpos, touch, tip_force))
 
 
-def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, outcome_word: str | None) -> EpisodeMeta:
+def _meta(
+    scene: Scene, job: EpisodeJob, rule: ContactRule | None, kicks: tuple[Kick, ...], outcome_word: str | None
+) -> EpisodeMeta:
     """Return who, what, when."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
@@ -265,6 +331,7 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, outcome_word:
         contact_rule=rule,
         point_cloud=job.point_cloud,
         labels=labels,
+        kicks=kicks,
     )
 
 

@@ -14,6 +14,7 @@ from candata.datasets.quarantine import read_quarantine
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
 from candata.scenes import Scene, load_scene
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.schema.quarantine import QuarantinedEpisode
@@ -61,8 +62,10 @@ def generate(
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
     randomisation: Sequence[RandomEffect] = (),
+    disturbances: Disturbances | None = None,
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
+    step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
     outcomes: Mapping[str, float] | None = None,
@@ -96,10 +99,14 @@ def generate(
         Effects of every episode.
     randomisation : sequence of RandomEffect
         Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
+    disturbances : Disturbances, optional
+        Noise on commands, and kicks, drawn for each episode; `meta.kicks` has those that it got.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
     policy_file : str or Path, optional
         Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
+    step_policy : str, optional
+        What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
     duration_s : float
         Length of an episode; what a policy file holds has its own.
     noise : bool
@@ -145,8 +152,10 @@ def generate(
         objects=objects,
         effects=effects,
         randomisation=randomisation,
+        disturbances=disturbances,
         policies=policies,
         policy_file=policy_file,
+        step_policy=step_policy,
         duration_s=duration_s,
         noise=noise,
         outcomes=outcomes,

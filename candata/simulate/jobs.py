@@ -6,21 +6,25 @@ import hashlib
 import json
 import platform
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
+import numpy as np
 from pydantic import Field
 
 from candata import __version__
 from candata.errors import DataError, UsageError, Where
-from candata.policies import Motion, policy, policy_names, read_motions
+from candata.policies import Motion, StepPolicy, policy, policy_names, read_motions, read_step_policy
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
 from candata.schema.record import Record
+from candata.simulate.disturbances import check_disturbances
 from candata.simulate.episodes import EpisodeJob, planned
 from candata.simulate.randomisation import check_randomisation, drawn_effects
 from candata.simulate.wanted import wanted_outcome
@@ -39,15 +43,20 @@ class GenerationRecipe(Record):
     `randomisation` are drawn for each. With a `policy_file` (its content named by `policy_digest`) the motions of the
     file take turns, and `policies` are their names. `objects` are what `named_object` takes; they take turns in the
     place of the scene's own, each for one round of the policies. `point_clouds` has one name for each of `scenes`;
-    nothing where the scene has no object. `outcomes` are the shares of wanted outcomes; none where any will do.
+    nothing where the scene has no object. With a `step_policy` (what `read_step_policy` takes, its content named by
+    `policy_digest`) that gives the commands of all episodes, and `policies` is its name. `disturbances` are drawn for
+    each episode.
+    `outcomes` are the shares of wanted outcomes; none where any will do.
     """
 
     scene: str
     seed: int
     effects: tuple[EffectSetting, ...] = ()
     randomisation: tuple[RandomEffect, ...] = ()
+    disturbances: Disturbances | None = None
     policies: tuple[str, ...]
     policy_file: str | None = None
+    step_policy: str | None = None
     policy_digest: str | None = None
     duration_s: float
     noise: bool
@@ -88,7 +97,7 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
     UsageError
         When a policy or an effect cannot act in the scene, or an episode would have fewer than 2 rows.
     """
-    for name in () if recipe.policy_file else recipe.policies:
+    for name in () if recipe.policy_file or recipe.step_policy else recipe.policies:
         if not policy(name).possible(scene):
             raise UsageError(
                 f"policy {name} cannot act in scene {scene.name}",
@@ -106,13 +115,28 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
         )
     build_worlds(scene, [recipe.effects])
     check_randomisation(recipe.randomisation, scene)
+    if recipe.disturbances is not None:
+        check_disturbances(recipe.disturbances, scene)
+    if recipe.step_policy is not None:
+        _check_step_policy(recipe, scene)
     for index in indices if recipe.randomisation else ():
         drawn_effects(recipe.randomisation, scene, recipe.seed, index)
 
 
+def _check_step_policy(recipe: GenerationRecipe, scene: Scene) -> None:
+    """Refuse a closed loop without actuators, under a clock that drifts, or whose policy does not begin."""
+    if not len(scene.actuator_ids):
+        raise UsageError(f"scene {scene.name} has no actuators to command")
+    names = {*(effect.name for effect in recipe.effects), *(effect.name for effect in recipe.randomisation)}
+    if "clock_drift" in names:
+        raise UsageError("a clock that drifts cannot act in a closed loop", fix="leave clock_drift out")
+    read_step_policy(str(recipe.step_policy)).begin(scene, np.random.default_rng(recipe.seed))
+
+
 def possible_policies(scene: Scene) -> tuple[str, ...]:
-    """Return the policies that can act in the scene: its own list, else all that are possible."""
-    return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
+    """Return the policies of the scene's usual mix: its own list, else all that are possible and not on request."""
+    loaded = {name: policy(name) for name in policy_names()}
+    return scene.policies or tuple(n for n, each in loaded.items() if not each.on_request and each.possible(scene))
 
 
 def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
@@ -147,7 +171,24 @@ def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Mo
         point_cloud=recipe.point_clouds[scene_turn] if recipe.point_clouds else None,
         object=named_object(recipe.objects[scene_turn]).name if recipe.objects else None,
         motion=motions[turn] if motions else None,
+        step_policy=_step_policy(recipe.step_policy, str(recipe.policy_digest)) if recipe.step_policy else None,
+        disturbances=recipe.disturbances,
     )
+
+
+@lru_cache(maxsize=1)
+def _step_policy(source: str, digest: str) -> StepPolicy:
+    """Return the policy of a recipe, read once a process.
+
+    Raises
+    ------
+    DataError
+        When it is no longer what the recipe was made from.
+    """
+    step_policy = read_step_policy(source)
+    if step_policy.digest != digest:
+        raise DataError("the policy has changed while it was played", where=Where(path=source))
+    return step_policy
 
 
 def motions_of(recipe: GenerationRecipe, scene: Scene) -> tuple[Motion, ...]:
@@ -219,7 +260,9 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
     if recipe.outcomes:
         details["outcomes"] = recipe.outcomes
     if recipe.policy_digest is not None:
-        details["policy_file"] = recipe.policy_digest
+        details["step_policy" if recipe.step_policy else "policy_file"] = recipe.policy_digest
+    if recipe.disturbances is not None:
+        details["disturbances"] = recipe.disturbances.model_dump(mode="json", exclude_none=True)
     if not is_withheld:
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
         if recipe.randomisation:

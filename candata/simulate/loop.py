@@ -11,10 +11,13 @@ from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
 from candata.effects import DriveStrength, DryFriction, Forces, Servos
+from candata.errors import UsageError
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
+from candata.simulate.closed_loop import ClosedLoop
+from candata.simulate.disturbances import Kicks
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.servo_laws import DriveScales, ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
@@ -84,7 +87,8 @@ def rollout(
     qvel: Array,
     effects: Sequence[Sequence[EffectSetting]],
     *,
-    observer: Observer | Prescribed | None = None,
+    observer: Observer | Prescribed | Kicks | None = None,
+    closed_loop: ClosedLoop | None = None,
     push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
@@ -103,13 +107,15 @@ def rollout(
     scene : Scene
         The nominal scene.
     commands : (n, T, A) float64
-        Command held over each control step; `A` may be 0.
+        Command held over each control step; `A` may be 0. A closed loop sets its own in place.
     qpos, qvel : (n, nq), (n, nv) float64
         State at row 0.
     effects : sequence of n sequences of EffectSetting
         Effects of each simulation.
-    observer : Observer or Prescribed, optional
-        Pulls each state towards its recording, or sets part of it; without it the simulations run free.
+    observer : Observer, Prescribed or Kicks, optional
+        Pulls each state towards its recording, sets part of it, or kicks it; without it the simulations run free.
+    closed_loop : ClosedLoop, optional
+        Sets the commands row by row, in place, from what the sensors read.
     push : callable, optional
         Gives generalised forces to add over each control step, beside those of the effects.
     instant_force : bool
@@ -134,7 +140,7 @@ def rollout(
     Raises
     ------
     UsageError
-        When an effect cannot act in the scene.
+        When an effect cannot act in the scene, or not in a closed loop.
     """
     worlds, states = build_worlds(scene, effects), (np.asarray(qpos, float), np.asarray(qvel, float))
     run = _Run(scene, worlds, *states, threads, alter, push, read_effort)
@@ -144,7 +150,7 @@ def rollout(
         run.hear(earlier_commands)
     run.supply = supply
     with without_log():  # warnings are counted
-        return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
+        return run.play(np.asarray(commands, float), observer, closed_loop, instant_force, keep_state, settle)
 
 
 class _Run:
@@ -206,7 +212,8 @@ class _Run:
     def play(
         self,
         commands: Array,
-        observer: Observer | Prescribed | None,
+        observer: Observer | Prescribed | Kicks | None,
+        closed_loop: ClosedLoop | None,
         instant: bool,
         keep: bool,
         settle: int,
@@ -214,9 +221,11 @@ class _Run:
         """Step through all rows and collect the readings."""
         scene, count, substeps = self.scene, commands.shape[1], self.scene.substeps
         drifting_ids = np.flatnonzero(self.worlds.pace != 1)
+        if len(drifting_ids) and closed_loop is not None:
+            raise UsageError("a clock that drifts cannot act in a closed loop", fix="leave clock_drift out")
         retimed_commands = retime_commands(commands[drifting_ids], self.worlds.pace[drifting_ids], substeps, settle)
         follower = Follower(scene, observer) if isinstance(observer, Observer) else observer
-        rows_together = 1 if self.worlds.force or self.push else ROWS
+        rows_together = 1 if self.worlds.force or self.push or closed_loop else ROWS
         force = np.zeros((1, self.n, len(scene.force_sensors), 3))
         sensor_data, touch = self._nothing(), np.zeros(self.n, bool)
         unread_rows: list[tuple[dict[str, Array], list[Array]]] = []
@@ -236,6 +245,9 @@ class _Run:
                 states.append((self.qpos.copy(), self.qvel.copy()))
             if follower is not None:
                 follower.correct(k, state, touch, self.qpos, self.qvel)
+            if closed_loop is not None:
+                now = {name: values[-1] for name, values in rows.items()}
+                closed_loop.set_commands(k, now, commands)
             if k + 1 < count:
                 held_commands = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held_commands[drifting_ids] = retimed_commands[:, k]

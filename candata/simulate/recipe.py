@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from candata.datasets import put_cloud
 from candata.errors import UsageError
-from candata.policies import read_motions
+from candata.policies import read_motions, read_step_policy
 from candata.scenes import Scene, load_scene
 from candata.scenes.clouds import surface_cloud
 from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.randomisation import RandomEffect
 from candata.simulate.jobs import GenerationRecipe, check, policies_with_goal, possible_policies
@@ -29,8 +30,10 @@ def make_recipe(
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
     randomisation: Sequence[RandomEffect] = (),
+    disturbances: Disturbances | None = None,
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
+    step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
     outcomes: Mapping[str, float] | None = None,
@@ -48,6 +51,7 @@ def make_recipe(
         seed=seed,
         effects=tuple(effects),
         randomisation=tuple(randomisation),
+        disturbances=disturbances,
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
@@ -55,6 +59,8 @@ def make_recipe(
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
+    if step_policy is not None:
+        recipe = _with_step_policy(recipe, step_policy, policies)
     if effects and randomisation:
         raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
     return _with_goals(recipe, model, policies) if outcomes else recipe
@@ -66,8 +72,10 @@ class SetOptions(TypedDict, total=False):
     objects: Sequence[str]
     effects: Sequence[EffectSetting]
     randomisation: Sequence[RandomEffect]
+    disturbances: Disturbances | None
     policies: Sequence[str]
     policy_file: str | Path | None
+    step_policy: str | None
     duration_s: float
     noise: bool
     outcomes: Mapping[str, float] | None
@@ -114,10 +122,19 @@ def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policie
     return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": motion_file.digest})
 
 
+def _with_step_policy(recipe: GenerationRecipe, source: str, policies: Sequence[str]) -> GenerationRecipe:
+    """Return the recipe whose commands a policy gives in a closed loop."""
+    if policies or recipe.policy_file is not None:
+        raise UsageError("two sources of commands at once", fix="give --policies, --policy-file or --policy-module")
+    step_policy = read_step_policy(source)
+    names = {"policies": (step_policy.name,), "step_policy": source, "policy_digest": step_policy.digest}
+    return recipe.model_copy(update=names)
+
+
 def _with_goals(recipe: GenerationRecipe, scene: Scene, policies: Sequence[str]) -> GenerationRecipe:
     """Return the recipe with the policies that have a goal; refuse those that were named and have none."""
-    if recipe.policy_file is not None:
-        raise UsageError("a policy file and wanted outcomes at once", fix="leave one of them out")
+    if recipe.policy_file is not None or recipe.step_policy is not None:
+        raise UsageError("commands of your own and wanted outcomes at once", fix="leave one of them out")
     names = policies_with_goal(recipe, scene)
     aimless_names = [name for name in policies or recipe.policies if name not in names]
     if aimless_names and (policies or not names):

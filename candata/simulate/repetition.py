@@ -13,11 +13,12 @@ from pydantic import ConfigDict, Field
 from candata.datasets import Dataset, append, create_dataset, get_cloud, put_cloud
 from candata.datasets.history import Origin, derived_lineage, tree
 from candata.errors import DataError, UsageError, Where
-from candata.policies import Motion, read_motions
+from candata.policies import Motion, StepPolicy, read_motions, read_step_policy
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.contract import OBJECTS
 from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import VersionFile
 from candata.schema.record import Record
@@ -41,6 +42,8 @@ class _Details(Record):
     noise: bool
     objects: dict[str, str] = Field(default_factory=dict)
     policy_file: str | None = None
+    step_policy: str | None = None
+    disturbances: Disturbances | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ def repeat_episode(
     scene: str | None = None,
     objects: Sequence[str] = (),
     policy_file: str | Path | None = None,
+    step_policy: str | None = None,
 ) -> Episode:
     """Return an episode that was simulated again, bit-equal to the one in the dataset.
 
@@ -77,6 +81,8 @@ def repeat_episode(
         Names or folders of objects; needed where the object's folder is not a registered name.
     policy_file : str or Path, optional
         The motions that the set was made with; needed where these came from a file.
+    step_policy : str, optional
+        The policy of a closed loop that the set was made with; needed where it had one.
 
     Raises
     ------
@@ -92,7 +98,7 @@ def repeat_episode(
     for generation in _origins(dataset, recorded.meta):
         try:
             asked_scene = _scene(recorded.meta, generation, scene, objects)
-            repeated = _simulated(recorded.meta, generation, asked_scene, policy_file)
+            repeated = _simulated(recorded.meta, generation, asked_scene, policy_file, step_policy)
             _refuse_difference(recorded, repeated, generation)
         except DataError as error:
             differences.append(error)
@@ -213,7 +219,35 @@ def _motion(
     return file.motions[index % len(file.motions)]
 
 
-def _simulated(meta: EpisodeMeta, generation: _Generation, scene: Scene, policy_file: str | Path | None) -> Episode:
+def _step_policy(meta: EpisodeMeta, generation: _Generation, source: str | None) -> StepPolicy | None:
+    """Return the policy of an episode's closed loop; None where its commands were planned."""
+    digest = generation.details.step_policy
+    if digest is None:
+        return None
+    if source is None:
+        raise UsageError(
+            "the episode came from a policy in a closed loop, which a dataset does not keep",
+            expected=f"--policy-module with the policy {digest[:12]}",
+            where=Where(episode=meta.id),
+        )
+    step_policy = read_step_policy(source)
+    if step_policy.digest != digest:
+        raise DataError(
+            "the policy is not the one that the episode came from",
+            expected=f"policy {digest[:12]}",
+            found=f"policy {step_policy.digest[:12]}",
+            where=Where(path=source, episode=meta.id),
+        )
+    return step_policy
+
+
+def _simulated(
+    meta: EpisodeMeta,
+    generation: _Generation,
+    scene: Scene,
+    policy_file: str | Path | None,
+    step_policy: str | None,
+) -> Episode:
     """Return the episode as this machine simulates it, with who, what and when of the one that is stored."""
     match = _INDEX.search(meta.id)
     if match is None:
@@ -230,6 +264,8 @@ def _simulated(meta: EpisodeMeta, generation: _Generation, scene: Scene, policy_
         seed=int(meta.seed or 0),
         effects=meta.effects or (),
         motion=_motion(meta, generation, scene, index, policy_file),
+        step_policy=_step_policy(meta, generation, step_policy),
+        disturbances=generation.details.disturbances,
         draw=Draw.kept(meta.labels),
     )
     noise = scene.file.noise if generation.details.noise else None

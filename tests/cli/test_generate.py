@@ -101,7 +101,7 @@ def test_a_randomisation_may_name_the_scene_and_is_told_by_the_lineage(randomise
     ("text", "words", "said"),
     [
         ("", (), "random.yaml is not valid: (whole file): keys with values are expected\n"),
-        ("effects: []\n", (), "random.yaml is not valid: effects: Tuple should have at least 1 item"),
+        ("effects: []\n", (), "random.yaml is not valid: (whole file): Value error, expected effects or disturbances"),
         (MASS.replace("uniform", "unifrom"), (), "unknown key `unifrom`, did you mean `uniform`"),
         (MASS.replace("[0.7, 1.5]", "[1.5, 0.7]"), (), "the smallest value of uniform comes first"),
         (MASS.replace("uniform: [0.7, 1.5]", "normal: [1, 0]"), (), "the standard deviation of normal"),
@@ -374,7 +374,7 @@ def test_scene_list(capsys):
     assert exit_code("scene", "list") == 0
     assert capsys.readouterr().out.splitlines()[1].split()[:6] == ["cube_toss", "0", "0", "0", "148", "Hz"]
     assert exit_code("scene", "list", "--json") == 0
-    known = ["cube_toss", "gripper_tabletop", "xhand_tabletop"]
+    known = ["cube_toss", "gripper_tabletop", "xarm7_xhand", "xhand_tabletop"]
     assert [e["name"] for e in json.loads(capsys.readouterr().out)] == known
 
 

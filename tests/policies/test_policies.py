@@ -44,7 +44,7 @@ def travel(some) -> np.ndarray:
 
 @pytest.mark.parametrize("name", policy_names())
 def test_plans_repeat_and_stay_within_limits(name):
-    for scene in map(load_scene, ("cube_toss", "gripper_tabletop", "xhand_tabletop")):
+    for scene in map(load_scene, ("cube_toss", "gripper_tabletop", "xhand_tabletop", "xarm7_xhand")):
         if not policy(name).possible(scene):
             continue
         plan, again, other = (policy(name).plan(scene, np.random.default_rng(s), 1.0) for s in (1, 1, 2))

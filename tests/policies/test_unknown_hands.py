@@ -7,6 +7,7 @@ import pytest
 
 from candata.policies import _drive as drive
 from candata.policies import policy
+from candata.policies._carrier import carrier
 from candata.policies._grasp import grasp
 from candata.policies._postures import postures
 from candata.scenes import load_scene
@@ -39,7 +40,7 @@ def test_a_grasp_found_for_jaws_on_a_tendon_lifts_the_object(jaws):
 
 def test_a_tendons_id_is_not_a_joints(jaws):
     """The tendon has the id 0, as the rail's slide has: only the second column is the rail."""
-    assert drive.rails(jaws).columns.tolist() == [1]
+    assert carrier(jaws).columns.tolist() == [1]
     assert np.allclose(drive.useful_range(jaws)[0], [0, 255])
     for name in jaws.policies or ("grasp_lift_shake", "free_sweep", "push", "roll", "squeeze"):
         plan = policy(name).plan(jaws, np.random.default_rng(2), 1.0)
@@ -50,7 +51,8 @@ def test_a_tendons_id_is_not_a_joints(jaws):
 
 
 def test_a_rail_that_points_down_lifts_by_going_back(jaws):
-    assert drive.rails(jaws).lift == (1, -1.0)
+    assert carrier(jaws).lift == pytest.approx([0, 0, 1])
+    assert carrier(jaws).reach.tolist() == [False, False, True, False, False, False]
     plan = policy("grasp_lift_shake").plan(jaws, np.random.default_rng(2), 2.5)
     assert plan.commands[:, 1].min() < -0.03
     assert plan.commands[:, 1].max() < 0.02, "only the shaking goes down"

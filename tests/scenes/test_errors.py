@@ -36,7 +36,9 @@ def refusal(path, kind) -> str:
 
 def test_an_unknown_builtin_scene_lists_the_known():
     text = refusal("cube_tos", UnknownNameError)
-    assert text.startswith("unknown scene 'cube_tos'\n  expected: one of cube_toss, gripper_tabletop, xhand_tabletop\n")
+    assert text.startswith(
+        "unknown scene 'cube_tos'\n  expected: one of cube_toss, gripper_tabletop, xarm7_xhand, xhand_tabletop\n"
+    )
     assert text.endswith("  do: did you mean 'cube_toss'?")
 
 

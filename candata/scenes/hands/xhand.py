@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from candata.rotation import exp, multiply
+from candata.rotation import of_fixed_axes
 from candata.scenes.contract import Hand
 
 #: Servo stiffness [N m/rad], damping [N m s/rad] and reflected rotor inertia [kg m^2] of every hinge.
@@ -118,15 +117,9 @@ def add(spec: mujoco.MjSpec, parent: mujoco.MjsBody, quat: tuple[float, float, f
         bodies[link.joint] = _add_link(spec, bodies[link.parent], link)
 
 
-def _turn(rpy: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Return the quaternion w x y z of turns about fixed x, then y, then z."""
-    roll, pitch, yaw = (exp(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
-    return multiply(yaw, multiply(pitch, roll))
-
-
 def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, link: Link) -> mujoco.MjsBody:
     """Return the new body of `link` with its capsule, joint and position servo."""
-    body = parent.add_body(name=link.joint, pos=link.origin, quat=_turn(link.rpy))
+    body = parent.add_body(name=link.joint, pos=link.origin, quat=of_fixed_axes(link.rpy))
     is_tip = link.joint in TIPS
     end = np.array(link.end)
     stop = end - RADIUS_M * end / np.linalg.norm(end) if is_tip else end

@@ -1,0 +1,47 @@
+"""A ghost in a picture: some geoms of a model once more, elsewhere, seen through."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.reports.camera import SHOWN_GROUPS
+
+#: Colour of a ghost, and how much of it hides what lies behind (of 1). Chosen: hands, cans and tables are rarely pink.
+COLOUR, OPACITY = (0.90, 0.10, 0.65), 0.5
+#: Geom group that nothing shows, by MuJoCo's default visualisation options.
+HIDDEN_GROUP = mujoco.mjNGROUP - 1
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """What is shown as a ghost.
+
+    Attributes
+    ----------
+    geoms : tuple of int
+        Ids of its geoms.
+    qpos : (K, nq) float64
+        Positions of the model in which they are, a row a picture; a row that is not finite shows none.
+    """
+
+    geoms: tuple[int, ...]
+    qpos: NDArray[np.float64]
+
+    def part(self, rows: slice) -> Ghost:
+        """Return the ghost of some of the pictures."""
+        return Ghost(self.geoms, self.qpos[rows])
+
+
+def ghost_model(model: mujoco.MjModel, ghost: Ghost) -> mujoco.MjModel:
+    """Return a copy of the model that shows the ghost's geoms alone, in its colour."""
+    alone = copy.copy(model)
+    is_ghost = np.isin(np.arange(model.ngeom), ghost.geoms) & (model.geom_group < SHOWN_GROUPS)
+    alone.geom_group[~is_ghost] = HIDDEN_GROUP
+    alone.geom_rgba[is_ghost] = (*COLOUR, 1.0)
+    alone.geom_matid[is_ghost] = -1
+    return alone

@@ -1,0 +1,1 @@
+"""Arms: one file each; the folder is the registry."""

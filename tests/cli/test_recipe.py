@@ -1,0 +1,60 @@
+"""`generate-sim --recipe`: a file of options, of which those typed go before."""
+
+from __future__ import annotations
+
+import pytest
+
+from candata.datasets import open_dataset
+from tests.cli.command import run
+
+RECIPE = "scene: cube_toss\nepisodes: 3\nduration_s: 0.2\neffects: sub/heavy.yaml\nnoise: false\n"
+HEAVY = "effects:\n  - {name: object_mass, parameters: {mass_scale: 1.5}}\n"
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    folder = tmp_path / "recipes"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "sub" / "heavy.yaml").write_text(HEAVY)
+    (folder / "tosses.yaml").write_text(RECIPE)
+    return folder / "tosses.yaml"
+
+
+def test_a_recipe_holds_options_and_files_beside_it(recipe, tmp_path):
+    assert run("generate-sim", "--recipe", recipe, "--out", tmp_path / "a").code == 0
+    words = (
+        "--scene",
+        "cube_toss",
+        "--duration-s",
+        0.2,
+        "--effects",
+        recipe.parent / "sub" / "heavy.yaml",
+        "--no-noise",
+    )
+    assert run("generate-sim", *words, "--episodes", 3, "--out", tmp_path / "b").code == 0
+    first, second = open_dataset(tmp_path / "a"), open_dataset(tmp_path / "b")
+    assert first.digest == second.digest
+    assert next(iter(first)).meta.effects[0].name == "object_mass"
+
+
+def test_what_is_typed_goes_before(recipe, tmp_path):
+    assert run("generate-sim", "--recipe", recipe, "--episodes", 2, "--out", tmp_path / "a").code == 0
+    assert len(open_dataset(tmp_path / "a")) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("episods: 3\n", "episods is no option that a recipe may hold"),
+        ("out: elsewhere\n", "out is no option that a recipe may hold"),
+        ("- 3\n", "holds no options"),
+        ("", "holds no options"),
+        ("episodes: many\n", "Invalid value for '--episodes'"),
+    ],
+)
+def test_a_wrong_recipe_is_one_error(tmp_path, text, said):
+    (tmp_path / "bad.yaml").write_text(text)
+    result = run("generate-sim", "--recipe", tmp_path / "bad.yaml", "--out", tmp_path / "a")
+    assert result.code == 2
+    assert said in result.err
+    assert not (tmp_path / "a").exists()
