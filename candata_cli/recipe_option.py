@@ -38,10 +38,14 @@ def use_recipe(context: typer.Context, path: Path | None) -> Path | None:
 
 
 def _plain_value(value: Any, folder: Path) -> Any:
-    """Return a value as it would be typed: a list as words with commas, a file beside the recipe by its path."""
+    """Return a value as it would be typed: a list as words with commas, a file beside the recipe by its path.
+
+    A folder is meant where its name holds a slash; a bare word may be the name of a scene.
+    """
     if isinstance(value, list):
         return ",".join(str(_plain_value(each, folder)) for each in value)
     if isinstance(value, str):
         name = value.rpartition(":")[0] or value
-        return f"{folder / name}{value[len(name) :]}" if (folder / name).is_file() else value
+        is_path = (folder / name).is_file() or ("/" in name and (folder / name).is_dir())
+        return f"{folder / name}{value[len(name) :]}" if is_path else value
     return value
