@@ -141,9 +141,22 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
 
 
 def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
-    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each."""
-    jobs = [EpisodeJob(id=name, index=0, policy=name, seed=recipe.seed) for name in recipe.policies]
-    return tuple(j.policy for j in jobs if planned(scene, j, recipe.duration_s).goal is not None)
+    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each.
+
+    A policy that cannot act or plan there counts as one that has a goal: `check`, or its episodes, say what is wrong.
+    """
+    return tuple(name for name in recipe.policies if _has_goal(recipe, scene, name))
+
+
+def _has_goal(recipe: GenerationRecipe, scene: Scene, policy_name: str) -> bool:
+    """Tell whether a policy's plan has a goal."""
+    if not policy(policy_name).possible(scene):
+        return True
+    first_job = EpisodeJob(id=policy_name, index=0, policy=policy_name, seed=recipe.seed)
+    try:
+        return planned(scene, first_job, recipe.duration_s).goal is not None
+    except DataError:
+        return True
 
 
 def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:
