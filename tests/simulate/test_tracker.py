@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from candata.policies import StepPolicy
 from candata.scenes import load_scene
 from candata.schema.scene import Noise, Tracker
 from candata.simulate.episodes import EpisodeJob, make_episodes
-from candata.simulate.tracker import tracked_pose
+from candata.simulate.tracker import tracked_pose, with_tracker
 
 RATE_HZ = 50.0
 
@@ -79,6 +80,29 @@ def test_an_episode_says_where_its_pose_was_lost_and_all_else_is_as_without():
     assert all(np.array_equal(plain[name], held[name]) for name in plain.arrays if name != "object_pose")
     known = {tuple(pose) for pose in plain["object_pose"]}
     assert {tuple(pose) for pose in held["object_pose"][valid]} < known  # noise of a reading, not of a row
+
+
+def test_a_policy_in_a_closed_loop_sees_the_pose_that_is_stored():
+    scene, seen = load_scene("gripper_tabletop"), []
+
+    def begin(scene, rng):
+        return lambda observation: (seen.append(observation.readings["object_pose"]), observation.action)[1]
+
+    noise = scene.file.noise.model_copy(
+        update={"tracker": Tracker(rate_hz=15.0, drift=(0.01, 0.0), dropout_share=0.5, dropout_s=0.05)}
+    )
+    job = EpisodeJob("e", 0, "still", 1, step_policy=StepPolicy("still", "0" * 64, begin))
+    (episode,) = make_episodes(scene, [job], duration_s=0.5, noise=noise)
+    assert np.isnan(seen).any()
+    assert np.array_equal(np.float32(seen), episode["object_pose"], equal_nan=True)
+
+
+def test_every_episode_of_a_set_has_the_same_channels_whether_its_pose_was_lost_or_not():
+    readings = {"object_pose": moving_pose(20)}
+    rarely = Noise(tracker=Tracker(rate_hz=15.0, dropout_share=1e-9))
+    assert with_tracker(readings, rarely, RATE_HZ, np.random.default_rng(0))["object_pose_valid"].all()
+    never = Noise(tracker=Tracker(rate_hz=15.0))
+    assert set(with_tracker(readings, never, RATE_HZ, np.random.default_rng(0))) == {"object_pose"}
 
 
 def test_a_scene_without_a_tracker_says_nothing_of_it():
