@@ -269,10 +269,11 @@ class _Search:
         return sorted(out, key=lambda candidate: -candidate.score), lines.width_m[pressed].tolist()
 
     def _tilts(self) -> Array:
-        """Return random rotation vectors `(LINES, 3)` [rad] of the hand; zero where nothing can turn it."""
+        """Return rotation vectors `(LINES, 3)` [rad] of the hand: half of them zero, all where nothing can turn it."""
         axes = self.rng.standard_normal((LINES, 3))
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        return axes * self.rng.uniform(0, MOST_TILT_RAD, (LINES, 1)) * self.carrier.reach[3:].all()
+        tilts = np.maximum(self.rng.uniform(-MOST_TILT_RAD, MOST_TILT_RAD, (LINES, 1)), 0)
+        return axes * tilts * self.carrier.reach[3:].all()
 
     def _clear(self, candidates: list[_Candidate]) -> list[Grasp]:
         """Return grasps of those candidates at which the hand is clear of support and object, and can get there."""
