@@ -60,6 +60,7 @@ class GenerationRecipe(Record):
     policy_digest: str | None = None
     duration_s: float
     noise: bool
+    taxels: bool = False
     objects: tuple[str, ...] = ()
     point_clouds: tuple[str, ...] = ()
     outcomes: dict[str, float] = Field(default_factory=dict)
@@ -140,9 +141,22 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
 
 
 def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
-    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each."""
-    jobs = [EpisodeJob(id=name, index=0, policy=name, seed=recipe.seed) for name in recipe.policies]
-    return tuple(j.policy for j in jobs if planned(scene, j, recipe.duration_s).goal is not None)
+    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each.
+
+    A policy that cannot act or plan there counts as one that has a goal: `check`, or its episodes, say what is wrong.
+    """
+    return tuple(name for name in recipe.policies if _has_goal(recipe, scene, name))
+
+
+def _has_goal(recipe: GenerationRecipe, scene: Scene, policy_name: str) -> bool:
+    """Tell whether a policy's plan has a goal."""
+    if not policy(policy_name).possible(scene):
+        return True
+    first_job = EpisodeJob(id=policy_name, index=0, policy=policy_name, seed=recipe.seed)
+    try:
+        return planned(scene, first_job, recipe.duration_s).goal is not None
+    except DataError:
+        return True
 
 
 def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:
@@ -242,6 +256,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         "duration_s": recipe.duration_s,
         "noise": recipe.noise,
     }
+    if recipe.taxels:
+        details["taxels"] = True
     if object_digests:
         details["objects"] = object_digests
     if recipe.outcomes:

@@ -20,6 +20,8 @@ WIDEST_ATTEMPT = 8
 #: share of the episode by which the fingers are early or late. Chosen so that on the built-in scenes a can and a carton
 #: are missed, lost on the table and lost in the air (measured: tests/simulate/test_attempts.py).
 GRIP_LESS, GRIP_MORE, AIM_M, TIMING_SHARE = 0.4, 0.3, 0.08, 0.4
+#: Widest aim where a success is wanted, along each axis [m]. Chosen: about a finger's width.
+NEAR_M = 0.02
 #: Part of the episode in which early fingers get ahead: the grasp is closed by then.
 AHEAD_FROM, AHEAD_TO = 0.3, 0.5
 #: What is drawn for each wanted outcome; for any failure, each of these as often as not.
@@ -94,7 +96,8 @@ def drawn(wanted: str, attempt: int, duration_s: float, rng: np.random.Generator
     width = min(1.0, (attempt + 1) / WIDEST_ATTEMPT)
     if wanted == SUCCESS:
         width = min(1.0, attempt / WIDEST_ATTEMPT)
-        return Draw(wanted, attempt, grip_scale=1 + GRIP_MORE * width * rng.random())
+        aim_x_m, aim_y_m = (NEAR_M * width * rng.uniform(-1, 1, 2)).tolist()
+        return Draw(wanted, attempt, 1 + GRIP_MORE * width * rng.random(), aim_x_m, aim_y_m)
     kinds = _DRAWN[wanted] if wanted != FAIL else [kind for kind in _KINDS if rng.random() < 0.5]
     grip, distance, timing = (width * rng.random(3)).tolist()
     heading = rng.uniform(0, 2 * np.pi)

@@ -81,6 +81,11 @@ def test_a_policy_without_a_goal_is_refused_where_outcomes_are_wanted(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_a_policy_that_cannot_act_is_refused_where_outcomes_are_wanted(tmp_path):
+    with pytest.raises(UsageError, match="policy push cannot act in scene cube_toss"):
+        generate(tmp_path / "set", **{**TOSS, "policies": ("push",), "outcomes": MIX})
+
+
 def sometimes(change, share):
     """A policy whose plans are changed in a share of the episodes, as the seed decides."""
     plain = policy("toss")
@@ -145,7 +150,7 @@ def test_the_same_again_tries_nothing_anew(tmp_path, breaking):
     breaking(not_finite)
     first = generate(tmp_path / "set", **TOSS)
     files = sorted(tmp_path.rglob("*.json"))
-    breaking(not_finite, 1.0)
+    breaking(not_finite, 0.0)
     assert generate(tmp_path / "set", **TOSS) == first
     assert sorted(tmp_path.rglob("*.json")) == files
 
