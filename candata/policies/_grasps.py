@@ -64,8 +64,6 @@ class Grasp:
         How far the object is turned about the vertical through its mass centre, from its place in the model [rad].
     approach : (3,) float64
         Unit vector along which the open hand leaves the object without touching it; it comes the other way.
-    lifted_share : float
-        Share of the trials in which it lifted the object.
     """
 
     open: Array
@@ -73,7 +71,6 @@ class Grasp:
     path: Array
     heading_rad: float
     approach: Array
-    lifted_share: float = 0.0
 
     def way_in(self, share: Array) -> Array:
         """Return the path `(T, 6)` of a hand that is away at share 0, at the object at share 1, `(T,)`."""
@@ -158,13 +155,9 @@ def _kept(key: SameScene) -> tuple[Grasp, ...]:
     off = rng.standard_normal((len(best) * TIMES, 3)) * (OFF_SD_M, OFF_SD_M, OFF_SD_RAD)
     grips = rng.uniform(*GRIP, len(off))
     again = [search.trial(best[i // TIMES], off[i], grips[i]) for i in range(len(off))]
-    worths = lift_worths(key.scene, again).reshape(-1, TIMES)
-    shares, means = (worths > 0).mean(1), worths.mean(1)
-    return tuple(
-        replace(best[i], lifted_share=float(shares[i]))
-        for i in np.argsort(-means, kind="stable")[:KEPT]
-        if means[i] >= GOOD_SHARE * means.max()
-    )
+    worths = lift_worths(key.scene, again).reshape(-1, TIMES).mean(1)
+    order = np.argsort(-worths, kind="stable")[:KEPT]
+    return tuple(best[i] for i in order if worths[i] >= GOOD_SHARE * worths.max())
 
 
 @dataclass(frozen=True, eq=False)
