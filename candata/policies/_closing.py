@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from candata.policies import _drive as d
 from candata.policies import _postures as p
@@ -34,28 +33,29 @@ class Way(NamedTuple):
 
 
 class Pinch(NamedTuple):
-    """Two fingertips that come towards each other along a way.
+    """Two fingertips that are about to come nearer to each other.
 
     Attributes
     ----------
-    way : int
-        Which way.
-    gap_m : (K,) float64
-        Distance of the fingertips at each of `SHARES`.
-    ends : (K, 2, 3) float64 [m]
-        The nearest points of the two, in the world, the hand being where the model begins.
-    closing : (K,) bool
-        Where the gap shrinks.
+    way : Way
+        How the fingers close.
+    share : float
+        How far they are closed.
+    gap_m : float
+        Distance of the fingertips.
+    ends : (2, 3) float64 [m]
+        The nearest points of the two, in the world, the hand being where the carrier starts.
     """
 
-    way: int
-    gap_m: Array
+    way: Way
+    share: float
+    gap_m: float
     ends: Array
-    closing: NDArray[np.bool_]
 
-    def axis(self, step: int) -> Array:
-        """Return the unit vector `(3,)` from the second fingertip to the first at one of `SHARES`."""
-        between = self.ends[step, 0] - self.ends[step, 1]
+    @property
+    def axis(self) -> Array:
+        """Unit vector `(3,)` from the second fingertip to the first."""
+        between = self.ends[0] - self.ends[1]
         return between / max(float(np.linalg.norm(between)), mujoco.mjMINVAL)
 
 
@@ -72,17 +72,17 @@ def ways(scene: Scene) -> list[Way]:
     return out
 
 
-def pinches(scene: Scene, hand: Hand, all_ways: list[Way]) -> list[Pinch]:
-    """Return the pairs of fingertips that come towards each other along each way."""
+def pinches(scene: Scene, hand: Hand) -> list[Pinch]:
+    """Return all pairs of fingertips that come towards each other, along each way and at each share of it."""
     low, high = d.useful_range(scene).T
     pairs = [(i, j) for i in range(len(hand.tips)) for j in range(i)]
     out = []
-    for number, way in enumerate(all_ways):
-        gaps, ends = np.zeros((len(pairs), len(SHARES))), np.zeros((len(pairs), len(SHARES), 2, 3))
+    for way in ways(scene):
+        gaps, ends = np.zeros((len(SHARES), len(pairs))), np.zeros((len(SHARES), len(pairs), 2, 3))
         for k, share in enumerate(SHARES):
             hand.pose(np.clip(way.open + share * way.travel, low, high)[hand.free])
             for n, (i, j) in enumerate(pairs):
-                gaps[n, k], ends[n, k] = hand.tip_gap(i, j)
-        closing = np.diff(gaps, axis=1, append=gaps[:, -1:]) < -SHRINK_M / (len(SHARES) - 1)
-        out += [Pinch(number, g, e, c) for g, e, c in zip(gaps, ends, closing, strict=True) if c.any()]
+                gaps[k, n], ends[k, n] = hand.tip_gap(i, j)
+        closing = np.diff(gaps, axis=0) < -SHRINK_M / (len(SHARES) - 1)
+        out += [Pinch(way, float(SHARES[k]), float(gaps[k, n]), ends[k, n]) for k, n in np.argwhere(closing)]
     return out

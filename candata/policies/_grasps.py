@@ -13,7 +13,7 @@ from candata.policies import _clear as clear
 from candata.policies import _drive as d
 from candata.policies import _postures as p
 from candata.policies._carrier import carrier
-from candata.policies._closing import SHARES, Pinch, Way, pinches, ways
+from candata.policies._closing import Pinch, pinches
 from candata.policies._contract import Array, Goal, Plan
 from candata.policies._grasp import Hand, hand_of
 from candata.policies._opposing import chords
@@ -29,8 +29,8 @@ MOST_TILT_RAD = np.deg2rad(60.0)
 #: Friction of a line through two opposing points: its angles to both normals lie within this cone. Chosen below the 0.8
 #: of the built-in fingers, which leaves a margin.
 FRICTION = 0.5
-#: How far the fingertips' gap may be from the width between the points [m]: half a fingertip. And how far the line
-#: through the fingertips may have turned by then [rad]. Chosen; trials show what holds.
+#: How far the fingertips' gap may be from the width between the points [m]: half a fingertip. And the largest angle
+#: between their line and the points' [rad]. Chosen; trials show what holds.
 FIT_M, FIT_RAD = 0.006, 0.35
 #: Distance of the line from the mass centre that costs as much as the loss of all alignment [m]. Chosen: a finger's.
 OFF_CENTRE_M = 0.05
@@ -64,8 +64,6 @@ class Grasp:
         How far the object is turned about the vertical through its mass centre, from its place in the model [rad].
     approach : (3,) float64
         Unit vector along which the open hand leaves the object without touching it; it comes the other way.
-    lifted_share : float
-        Share of the trials in which it lifted the object.
     """
 
     open: Array
@@ -73,7 +71,6 @@ class Grasp:
     path: Array
     heading_rad: float
     approach: Array
-    lifted_share: float = 0.0
 
     def way_in(self, share: Array) -> Array:
         """Return the path `(T, 6)` of a hand that is away at share 0, at the object at share 1, `(T,)`."""
@@ -158,13 +155,9 @@ def _kept(key: SameScene) -> tuple[Grasp, ...]:
     off = rng.standard_normal((len(best) * TIMES, 3)) * (OFF_SD_M, OFF_SD_M, OFF_SD_RAD)
     grips = rng.uniform(*GRIP, len(off))
     again = [search.trial(best[i // TIMES], off[i], grips[i]) for i in range(len(off))]
-    worths = lift_worths(key.scene, again).reshape(-1, TIMES)
-    shares, means = (worths > 0).mean(1), worths.mean(1)
-    return tuple(
-        replace(best[i], lifted_share=float(shares[i]))
-        for i in np.argsort(-means, kind="stable")[:KEPT]
-        if means[i] >= GOOD_SHARE * means.max()
-    )
+    worths = lift_worths(key.scene, again).reshape(-1, TIMES).mean(1)
+    order = np.argsort(-worths, kind="stable")[:KEPT]
+    return tuple(best[i] for i in order if worths[i] >= GOOD_SHARE * worths.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +165,7 @@ class _Candidate:
     """A line through the object and the fingertips that fit it: where hand and object go, and how good it looks."""
 
     score: float
-    way: Way
-    share: float
+    pinch: Pinch
     path: Array
     heading_rad: float
     headroom_m: float
@@ -214,14 +206,13 @@ class _Search:
         SceneError
             When there is none.
         """
-        all_ways = ways(self.scene)
-        all_pinches = pinches(self.scene, self.hand, all_ways)
+        all_pinches = pinches(self.scene, self.hand)
         cloud = surface_cloud(self.scene).astype(np.float64)
         clear_grasps: list[Grasp] = []
         widths: list[float] = []
         fitting = 0
         for _ in range(ROUNDS if all_pinches else 0):
-            found, round_widths = self._lines(all_ways, all_pinches, cloud)
+            found, round_widths = self._lines(all_pinches, cloud)
             widths += round_widths
             fitting += len(found)
             clear_grasps += self._clear(found[: 2 * TRIED])
@@ -229,22 +220,19 @@ class _Search:
                 break
         if clear_grasps:
             return clear_grasps[:TRIED]
-        span = [pinch.gap_m[pinch.closing].max() for pinch in all_pinches]
         raise SceneError(
             f"scene {self.scene.name}: no grasp reaches the object",
             expected="two opposing points on it that the fingertips reach, clear of object and support",
-            found=_why_none(span, widths, fitting),
+            found=_why_none([pinch.gap_m for pinch in all_pinches], widths, fitting),
             where=Where(path=self.scene.name),
             fix="leave the object out, or put the hand where it reaches it",
         )
 
-    def _lines(self, all_ways: list[Way], all_pinches: list[Pinch], cloud: Array) -> tuple[list[_Candidate], list]:
+    def _lines(self, all_pinches: list[Pinch], cloud: Array) -> tuple[list[_Candidate], list[float]]:
         """Return the lines that fit fingertips, the best first, and the widths of all that could be pressed along."""
-        rng, zeros = self.rng, np.zeros(LINES)
-        which = [all_pinches[i] for i in rng.integers(len(all_pinches), size=LINES)]
-        steps = [int(rng.choice(np.flatnonzero(pinch.closing))) for pinch in which]
-        turns = self._tilts()
-        axes = rotate(exp(turns), np.array([pinch.axis(k) for pinch, k in zip(which, steps, strict=True)]))
+        rng, turns, zeros = self.rng, self._tilts(), np.zeros(LINES)
+        gaps_m, tip_axes = (np.array([getattr(pinch, name) for pinch in all_pinches]) for name in ("gap_m", "axis"))
+        axes = rotate(exp(turns), tip_axes[rng.integers(len(all_pinches), size=LINES)])
         headings = rng.uniform(0, 2 * np.pi, LINES)
         attitudes = multiply(exp(np.stack([zeros, zeros, headings], axis=1)), self.object_pose[3:])
         points = cloud[rng.integers(len(cloud), size=LINES)]
@@ -255,33 +243,32 @@ class _Search:
         pressed = np.flatnonzero(lines.alignment > 1 / np.hypot(1, FRICTION))
         out = []
         for i in pressed:
-            pinch = which[i]
-            k = int(np.argmin(np.where(pinch.closing, np.abs(pinch.gap_m - lines.width_m[i]), np.inf)))
-            turned_by = rotate(exp(turns[i]), pinch.axis(k)) @ axes[i]
-            if abs(pinch.gap_m[k] - lines.width_m[i]) > FIT_M or turned_by < np.cos(FIT_RAD):
+            cosines = tip_axes @ rotate(exp(-turns[i]), axes[i])
+            fits = np.flatnonzero((np.abs(gaps_m - lines.width_m[i]) < FIT_M) & (cosines > np.cos(FIT_RAD)))
+            if not len(fits):
                 continue
-            between_tips = self.pivot + rotate(exp(turns[i]), pinch.ends[k].mean(0) - self.pivot)
+            pinch = all_pinches[int(rng.choice(fits))]
+            between_tips = self.pivot + rotate(exp(turns[i]), pinch.ends.mean(0) - self.pivot)
             path = np.concatenate([self.centre + middles[i] - between_tips, turns[i]])
             score = float(lines.alignment[i] - off_m[i] / OFF_CENTRE_M)
-            headroom_m = top_m - float(middles[i, 2])
-            share, heading_rad = float(SHARES[k]), float(headings[i])
-            out.append(_Candidate(score, all_ways[pinch.way], share, path, heading_rad, headroom_m))
+            out.append(_Candidate(score, pinch, path, float(headings[i]), top_m - float(middles[i, 2])))
         return sorted(out, key=lambda candidate: -candidate.score), lines.width_m[pressed].tolist()
 
     def _tilts(self) -> Array:
-        """Return random rotation vectors `(LINES, 3)` [rad] of the hand; zero where nothing can turn it."""
+        """Return rotation vectors `(LINES, 3)` [rad] of the hand: half of them zero, all where nothing can turn it."""
         axes = self.rng.standard_normal((LINES, 3))
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        return axes * self.rng.uniform(0, MOST_TILT_RAD, (LINES, 1)) * self.carrier.reach[3:].all()
+        tilts = np.maximum(self.rng.uniform(-MOST_TILT_RAD, MOST_TILT_RAD, (LINES, 1)), 0)
+        return axes * tilts * self.carrier.reach[3:].all()
 
     def _clear(self, candidates: list[_Candidate]) -> list[Grasp]:
         """Return grasps of those candidates at which the hand is clear of support and object, and can get there."""
         low, high = d.useful_range(self.scene).T
         grasps_at = []
         for c in candidates:
-            share = c.share + self.rng.uniform(*SQUEEZE)
-            closed = np.where(c.way.travel != 0, np.clip(c.way.open + share * c.way.travel, low, high), c.way.open)
-            grasps_at.append(Grasp(c.way.open, closed, c.path, c.heading_rad, self.lift))
+            way, share = c.pinch.way, c.pinch.share + self.rng.uniform(*SQUEEZE)
+            closed = np.where(way.travel != 0, np.clip(way.open + share * way.travel, low, high), way.open)
+            grasps_at.append(Grasp(way.open, closed, c.path, c.heading_rad, self.lift))
         raised = []
         all_carried = self._carried([grasp.path[None] for grasp in grasps_at])
         for c, grasp, carried in zip(candidates, grasps_at, all_carried, strict=True):

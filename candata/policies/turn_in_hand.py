@@ -30,11 +30,11 @@ GRIP = (0.8, 1.05)
 #: By how much the strokes of episodes differ in length and grip. Chosen.
 SIZES, FIRMER = (0.92, 1.08), (0.97, 1.03)
 #: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried; how far those are off, as a
-#: share of the largest stroke; how often in a row each generation of them is tried. Chosen for 5 s of CPU time.
-DRAWN, BEST, NEIGHBOURS, NEAR_SHARE, GENERATIONS = 48, 6, 3, 0.2, (1, 3)
+#: share of the largest stroke; how often in a row each generation of them is tried. Chosen for 3 s of CPU time.
+DRAWN, BEST, NEIGHBOURS, NEAR_SHARE, GENERATIONS = 48, 4, 3, 0.2, (1, 2)
 #: The best are tried so many times more, so often in a row, with the object off its place; those are kept whose
 #: worst turn is this share of the best.
-TIMES, LASTING, GOOD_SHARE = 4, 6, 0.95
+TIMES, LASTING, GOOD_SHARE = 3, 6, 0.95
 #: A tilt takes so many times as much from the worth of a turn; the object may move so far in each stroke [m], and loses
 #: so much a metre beyond [rad/m].
 TILT_WEIGHT, MOVE_M, MOVE_WEIGHT = 3.0, 0.005, 10.0
