@@ -22,8 +22,8 @@ from candata.simulate.episodes import ATTEMPT_STREAM, EpisodeJob, planned, tried
 from candata.simulate.perturbation import drawn
 
 Array = NDArray[np.float64]
-#: Attempts at a wanted outcome, after which the episode is left out. Chosen: five times as many as it takes until the
-#: draws are as wide as they get, so that what one draw in ten gives fails once in 30.
+#: Attempts at a wanted outcome, after which the episode is left out. Chosen: what one draw in ten gives is missed by
+#: one episode in 60.
 MOST_ATTEMPTS = 40
 #: Depth of an object in the hand or the table at which it starts inside [m], and how far the settling may move it out
 #: [m]. Chosen: soft contacts of resting objects stay below 1 mm, and an object that a finger moves aside stays near.
