@@ -109,6 +109,7 @@ ROLES: dict[str, Role] = {
     "torque_on": "command",
     "fingertip_force": "measurement",
     "fingertip_contact": "flag",
+    "fingertip_collision": "flag",
     "contact": "flag",
     "taxels": "sample",
 }

@@ -64,6 +64,7 @@ Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
 ]
 WithNoise = Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")]
+Taxels = Annotated[bool, typer.Option("--taxels", help="Add what 120 taxels a fingertip count.")]
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")]
 Withhold = Annotated[
     str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
@@ -112,6 +113,7 @@ def generate_sim(
     policy_module: PolicyModule = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
+    taxels: Taxels = False,
     jobs: Jobs = None,
     withhold: Withhold = None,
     withhold_from: WithholdFrom = None,
@@ -146,7 +148,8 @@ def generate_sim(
         sealed = seal or out.with_name(f"{out.name}.seal.json")
         check_output(out, "dataset")
     scene_name, options = _set_options(scene, objects, effects, randomise, withhold_from, policies, outcomes)
-    options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s, "noise": noise}
+    options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s}
+    options |= {"noise": noise, "taxels": taxels}
     part = _shard(shard)
     if out is None or dry_run:
         from candata.simulate.forecast import forecast

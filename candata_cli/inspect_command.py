@@ -143,14 +143,21 @@ def _print_summary(summary: Summary, meta: EpisodeMeta | None) -> None:
 
 
 def _print_contact(summary: Summary) -> None:
-    """Print shares of contact and phases, as far as they are known."""
+    """Print shares of contact, collision and phases, as far as they are known."""
+    _print_shares("collision", summary.collision_shares)
+    _print_shares("collision differs from contact", summary.label_disagreements)
     if summary.contact_share is None:
         console.out("contact: not known")
         return
     tips = "".join(f", {name} {share:.1%}" for name, share in summary.fingertip_contact_shares.items())
     console.out(f"contact: any {summary.contact_share:.1%}{tips}")
-    shares = (summary.phases or {}).items()
-    console.out("phases: " + ", ".join(f"{name} {share:.1%}" for name, share in shares))
+    _print_shares("phases", summary.phases or {})
+
+
+def _print_shares(label: str, shares: dict[str, float]) -> None:
+    """Print shares by name; nothing without any."""
+    if shares:
+        console.out(f"{label}: " + ", ".join(f"{name} {share:.1%}" for name, share in shares.items()))
 
 
 def _shape(shape: tuple[int, ...]) -> str:

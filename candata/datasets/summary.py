@@ -37,6 +37,8 @@ class ChannelSummary(ResultRecord):
 class Summary(ResultRecord):
     """What `candata inspect` prints; shares are of rows, null where no episode knows contact.
 
+    `collision_shares` are those in which a fingertip's geoms met the object, `label_disagreements` those in which that
+    and its contact by force differ; both are empty where no episode knows it.
     Counts by scene, object and task leave out episodes that state none. `outcomes` counts episodes by task and outcome;
     those without an outcome are left out, and those without a task stand under an empty one.
     """
@@ -56,6 +58,8 @@ class Summary(ResultRecord):
     channels: tuple[ChannelSummary, ...]
     contact_share: float | None
     fingertip_contact_shares: dict[str, float]
+    collision_shares: dict[str, float]
+    label_disagreements: dict[str, float]
     phases: dict[str, float] | None
     lineage: tuple[Lineage, ...]
 
@@ -96,15 +100,26 @@ class _Range:
 
 @dataclass
 class _Touch:
-    """Running counts of contact: rows in touch and rows in all by label, rows by phase."""
+    """Running counts of contact: rows in touch and rows in all by label, rows by phase; the same of collision."""
 
     rows: Counter[str] = field(default_factory=Counter)
     touch_rows: Counter[str] = field(default_factory=Counter)
     phases: Counter[str] = field(default_factory=Counter)
+    collision_rows: Counter[str] = field(default_factory=Counter)
+    collided_rows: Counter[str] = field(default_factory=Counter)
+    compared_rows: Counter[str] = field(default_factory=Counter)
+    differing_rows: Counter[str] = field(default_factory=Counter)
 
     def add(self, episode: Episode) -> None:
         """Take in one episode."""
-        for label, flags in touches(episode).items():
+        touch_by_label = touches(episode)
+        for label, flags in collisions(episode).items():
+            self.collision_rows[label] += len(flags)
+            self.collided_rows[label] += int(flags.sum())
+            if label in touch_by_label:
+                self.compared_rows[label] += len(flags)
+                self.differing_rows[label] += int((flags != touch_by_label[label]).sum())
+        for label, flags in touch_by_label.items():
             self.rows[label] += len(flags)
             self.touch_rows[label] += int(flags.sum())
             if label == ANY_FINGERTIP:
@@ -113,6 +128,14 @@ class _Touch:
     def shares(self) -> dict[str, float]:
         """Return the share of rows in touch by label."""
         return {label: self.touch_rows[label] / rows for label, rows in self.rows.items()}
+
+    def collision_shares(self) -> dict[str, float]:
+        """Return the share of rows in collision by label."""
+        return {label: self.collided_rows[label] / rows for label, rows in self.collision_rows.items()}
+
+    def label_disagreements(self) -> dict[str, float]:
+        """Return the share of rows in which collision and contact differ by label."""
+        return {label: self.differing_rows[label] / rows for label, rows in self.compared_rows.items()}
 
     def phase_shares(self) -> dict[str, float] | None:
         """Return the share of rows by phase; None where contact is not known."""
@@ -179,6 +202,8 @@ def summarise(
         channels=tuple(ranges[name].summary(name) for name in CHANNELS if name in ranges),
         contact_share=shares.pop(ANY_FINGERTIP, None),
         fingertip_contact_shares=shares,
+        collision_shares=touch.collision_shares(),
+        label_disagreements=touch.label_disagreements(),
         phases=touch.phase_shares(),
         lineage=dataset.lineage,
     )
@@ -201,3 +226,14 @@ def touches(episode: Episode) -> dict[str, NDArray[np.bool_]]:
     if "contact" in episode:
         touch_by_label[ANY_FINGERTIP] = episode["contact"] & episode.valid("contact")
     return touch_by_label
+
+
+def collisions(episode: Episode) -> dict[str, NDArray[np.bool_]]:
+    """Return `(T,) bool` whether each fingertip's geoms met the object; empty where the episode does not know it.
+
+    Rows without a valid value count as none.
+    """
+    if "fingertip_collision" not in episode:
+        return {}
+    flags = episode["fingertip_collision"] & episode.valid("fingertip_collision")[:, None]
+    return dict(zip(fingertip_labels(episode.meta, flags.shape[1]), flags.T, strict=True))

@@ -12,10 +12,11 @@ from candata.scenes import Scene
 
 #: Metres that count as much as a radian when errors of place and of turning are weighed. Chosen: the length of a hand.
 HAND_M = 0.15
-#: The search ends when the hand is this near to its path everywhere [m], or after so many steps.
-NEAR_M, MOST_STEPS = 1e-6, 30
+#: The search ends when the hand is this near to its path everywhere [m], or after so many steps. Chosen: a twentieth of
+#: the noise of commands; each further step makes the rest about its square.
+NEAR_M, MOST_STEPS = 1e-4, 30
 #: Longest part of a path that is searched for at once [m, with radians as `HAND_M`].
-STAGE_M = 0.1
+STAGE_M = 0.2
 #: Damping over the squared error, and its least value [m^2]. Source: T. Sugihara, "Solvability-unconcerned inverse
 #: kinematics by the Levenberg-Marquardt method", IEEE T-RO 27(5), 2011; the share is chosen.
 DAMPING_SHARE, LEAST_DAMPING_M2 = 0.5, 1e-8

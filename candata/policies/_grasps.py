@@ -17,7 +17,7 @@ from candata.policies._closing import SHARES, Pinch, Way, pinches, ways
 from candata.policies._contract import Array, Goal, Plan
 from candata.policies._grasp import Hand, hand_of
 from candata.policies._opposing import chords
-from candata.policies._trials import LIFT_M, Trial, lifted_heights
+from candata.policies._trials import LIFT_M, Trial, lift_worths
 from candata.rotation import conjugate, exp, multiply, rotate
 from candata.scenes import Scene
 from candata.scenes.clouds import surface_cloud
@@ -35,16 +35,16 @@ FIT_M, FIT_RAD = 0.006, 0.35
 #: Distance of the line from the mass centre that costs as much as the loss of all alignment [m]. Chosen: a finger's.
 OFF_CENTRE_M = 0.05
 #: Distance that the hand keeps from the support [m], and how much higher than the line it may grasp for that [m], if
-#: that is not above the object's top.
-CLEAR_M, MOST_RAISE_M = 0.004, 0.03
+#: that is not farther above the object's top than fingertips reach below the line.
+CLEAR_M, MOST_RAISE_M, LOWER_M = 0.004, 0.03, 0.012
 #: From how far the open hand comes to its grasp [m]: more than a finger's width.
 APPROACH_M = 0.09
 #: How far the fingers close beyond where they touch, as a share of the way from open to closed. Chosen: with the servos
 #: of the built-in hand 0.1 to 0.5 N m at the finger's base.
 SQUEEZE = (0.15, 0.6)
 #: Grasps that are tried by one lift; the best of them that are tried again, so many times; the most that are kept, and
-#: the share of lifts that a kept grasp reaches when others reach it. Chosen for a second of CPU time.
-TRIED, TRIED_AGAIN, TIMES, KEPT, GOOD_SHARE = 32, 8, 5, 4, 0.8
+#: the least mean worth of their lifts, as a share of the best. Chosen for a second of CPU time.
+TRIED, TRIED_AGAIN, TIMES, KEPT, GOOD_SHARE = 32, 8, 4, 4, 0.8
 #: How the object stands off, is turned, and the grip differs when a grasp is tried again (1 sd, 1 sd, range): more than
 #: policies do.
 OFF_SD_M, OFF_SD_RAD, GRIP = 0.005, 0.05, (0.92, 1.1)
@@ -152,17 +152,19 @@ def _kept(key: SameScene) -> tuple[Grasp, ...]:
     search = _Search(key.scene)
     candidates = search.candidates()
     trials = [search.trial(grasp, np.zeros(3), 1.0) for grasp in candidates]
-    first_heights = lifted_heights(key.scene, trials)
-    best = [candidates[i] for i in np.argsort(-first_heights, kind="stable")[:TRIED_AGAIN]]
+    first_worths = lift_worths(key.scene, trials)
+    best = [candidates[i] for i in np.argsort(-first_worths, kind="stable")[:TRIED_AGAIN]]
     rng = np.random.default_rng(SEED)
     off = rng.standard_normal((len(best) * TIMES, 3)) * (OFF_SD_M, OFF_SD_M, OFF_SD_RAD)
     grips = rng.uniform(*GRIP, len(off))
     again = [search.trial(best[i // TIMES], off[i], grips[i]) for i in range(len(off))]
-    shares = (lifted_heights(key.scene, again) > 0).reshape(-1, TIMES).mean(1)
-    order = np.argsort(-shares, kind="stable")
-    ranked = [replace(best[i], lifted_share=float(shares[i])) for i in order]
-    enough = min(GOOD_SHARE, ranked[0].lifted_share)
-    return tuple(grasp for grasp in ranked if grasp.lifted_share >= enough)[:KEPT]
+    worths = lift_worths(key.scene, again).reshape(-1, TIMES)
+    shares, means = (worths > 0).mean(1), worths.mean(1)
+    return tuple(
+        replace(best[i], lifted_share=float(shares[i]))
+        for i in np.argsort(-means, kind="stable")[:KEPT]
+        if means[i] >= GOOD_SHARE * means.max()
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +286,7 @@ class _Search:
         all_carried = self._carried([grasp.path[None] for grasp in grasps_at])
         for c, grasp, carried in zip(candidates, grasps_at, all_carried, strict=True):
             lack_m = np.inf if carried is None else CLEAR_M - self._height(grasp, carried[0])
-            if lack_m < min(MOST_RAISE_M, c.headroom_m):
+            if lack_m < min(MOST_RAISE_M, c.headroom_m + LOWER_M):
                 rise = max(0.0, float(lack_m)) * self.lift
                 raised.append(replace(grasp, path=grasp.path + np.concatenate([rise, np.zeros(3)])))
         paths = [self._approaches(grasp) for grasp in raised]

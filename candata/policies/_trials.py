@@ -11,13 +11,17 @@ from candata.policies import _drive as d
 from candata.policies import _postures as p
 from candata.policies._carrier import carrier
 from candata.policies._contract import Array
+from candata.rotation import difference
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 
 #: Times of a trial [s]: closing, lifting, holding; and how high it lifts [m]. Chosen: as long as the fingers need.
-CLOSE_S, LIFT_S, HOLD_S, LIFT_M = 0.5, 0.4, 0.4, 0.06
+CLOSE_S, LIFT_S, HOLD_S, LIFT_M = 0.5, 0.4, 0.3, 0.06
 #: Share of the lift that the object must rise by, and stay at, to count as lifted.
 LIFTED_SHARE = 0.8
+#: A way by which closing fingers push the object counts this share of one by which it slips. A turn by this angle costs
+#: as much as a slip by the whole lift: put down so, things fall over [rad]. What is lifted at all has the least worth.
+PUSHED_SHARE, FALLEN_RAD, LEAST_WORTH = 0.3, 0.8, 0.1
 
 
 class Trial(NamedTuple):
@@ -29,8 +33,8 @@ class Trial(NamedTuple):
     object_pose: Array
 
 
-def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
-    """Return `(n,)` by how much each trial lifted the object, less what it moved about [m]; negative if it did not."""
+def lift_worths(scene: Scene, trials: list[Trial]) -> Array:
+    """Return `(n,)` how well each trial lifted the object, from 0 (not at all) to 1 (as high as the hand, unmoved)."""
     hand, rate_hz = carrier(scene), scene.file.rate_hz
     time_s = p.times(scene, CLOSE_S + LIFT_S + HOLD_S)
     closing = p.blend(time_s, 0.0, 0.7 * CLOSE_S)[:, None]
@@ -39,12 +43,14 @@ def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
     carried = (hand.commands(hand.start, path) - hand.start).reshape(len(trials), len(time_s), -1)
     fingers = np.array([trial.open + closing * (trial.closed - trial.open) for trial in trials])
     commands = np.clip(fingers + carried, *d.command_range(scene).T)
-    place = object_motion(scene, commands, np.array([trial.object_pose for trial in trials]))[0]
+    places, attitudes = object_motion(scene, commands, np.array([trial.object_pose for trial in trials]))
     closed_row, lifted_row = round(CLOSE_S * rate_hz), round((CLOSE_S + LIFT_S) * rate_hz)
-    rise = place[:, -1, 2] - place[:, 0, 2]
-    pushed_m = np.linalg.norm(place[:, closed_row, :2] - place[:, 0, :2], axis=1)
-    slipped_m = np.linalg.norm(place[:, -1] - place[:, lifted_row], axis=1)
-    return np.where(rise > LIFTED_SHARE * LIFT_M, np.maximum(rise - 0.3 * pushed_m - slipped_m, 1e-6), rise - LIFT_M)
+    rise_m = places[:, -1, 2] - places[:, 0, 2]
+    pushed_m = np.linalg.norm(places[:, closed_row, :2] - places[:, 0, :2], axis=1)
+    slipped_m = np.linalg.norm(places[:, -1] - places[:, lifted_row], axis=1)
+    turned_rad = np.linalg.norm(difference(attitudes[:, -1], attitudes[:, 0]), axis=1)
+    loss = (PUSHED_SHARE * pushed_m + slipped_m) / LIFT_M + turned_rad / FALLEN_RAD
+    return np.where(rise_m > LIFTED_SHARE * LIFT_M, np.maximum(1 - loss, LEAST_WORTH), 0.0)
 
 
 def object_motion(scene: Scene, commands: Array, poses: Array) -> tuple[Array, Array]:

@@ -29,8 +29,8 @@ SWING_SHARE, SWING_M = 0.3, 0.02
 GRIP = (0.8, 1.05)
 #: By how much the strokes of episodes differ in length and grip. Chosen.
 SIZES, FIRMER = (0.92, 1.08), (0.97, 1.03)
-#: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried; how far those are
-#: off, as a share of the largest stroke; how often in a row each generation of neighbours is tried. Chosen: 5 s of CPU.
+#: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried; how far those are off, as a
+#: share of the largest stroke; how often in a row each generation of them is tried. Chosen for 5 s of CPU time.
 DRAWN, BEST, NEIGHBOURS, NEAR_SHARE, GENERATIONS = 48, 6, 3, 0.2, (1, 3)
 #: The best are tried so many times more, so often in a row, with the object off its place; those are kept whose
 #: worst turn is this share of the best.

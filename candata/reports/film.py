@@ -122,9 +122,13 @@ def footage(
     rows = _rows(scene_poser, episode, moments)
     time_s, qpos = episode.time_s[rows], scene_poser.qpos(episode, rows)
     touch, force_n = _contact(episode, scene_poser.scene, rows)
-    ghost = None if over is None else _ghost(scene_poser.scene, over[0].episode(over[1]), time_s, qpos)
-    notes = tuple(_notes(scene_poser, episode, moments, len(rows)))
-    return Footage(scene_poser.scene, time_s, qpos, touch, force_n, ghost, notes)
+    notes, ghost = list(_notes(scene_poser, episode, moments, len(rows))), None
+    if over is not None:
+        other = over[0].episode(over[1])
+        ghost = _ghost(scene_poser.scene, other, time_s, qpos)
+        if other.meta.object != episode.meta.object:
+            notes.append(f"the ghost is {other.meta.object}, drawn in the shape of {episode.meta.object}")
+    return Footage(scene_poser.scene, time_s, qpos, touch, force_n, ghost, tuple(notes))
 
 
 def pictures(shown: Footage, width: int, height: int, camera: str | None = None) -> Iterator[RenderedFrames]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -55,6 +55,10 @@ class Scene:
         The scene without them; None where there are none.
     has_other_object : bool
         Whether another object is in the place of the scene's own: its keyframes know nothing of it.
+    spec : mujoco.MjSpec or None
+        What the model was compiled from; None where it was edited since.
+    unlabelled : Scene or None
+        The scene without labels, see `candata.scenes.labels`; None where there are none.
     """
 
     name: str
@@ -64,6 +68,8 @@ class Scene:
     given_effects: tuple[EffectSetting, ...] = ()
     plain: Scene | None = None
     has_other_object: bool = False
+    spec: mujoco.MjSpec | None = field(default=None, repr=False)
+    unlabelled: Scene | None = field(default=None, repr=False)
 
     @property
     def substeps(self) -> int:
@@ -184,8 +190,26 @@ class Scene:
         """`(F, 4)` addresses of the frames' quaternions in sensordata."""
         return self._sensor(sensors.FRAME, 4)
 
+    @cached_property
+    def collision_sensors(self) -> NDArray[np.int64]:
+        """`(F,)` addresses of the numbers of contacts of each fingertip with the object; empty without labels."""
+        return self._sensor(sensors.COLLISION, 1)[:, 0]
+
+    @cached_property
+    def contact_sensors(self) -> NDArray[np.int64]:
+        """`(F, slots, numbers)` addresses of each contact of a fingertip (`sensors.CONTACT_SIZE`); empty likewise."""
+        slots, size = sensors.CONTACT_SLOTS, sensors.CONTACT_SIZE
+        return self._sensor(sensors.CONTACTS, slots * size).reshape(-1, slots, size)
+
+    @cached_property
+    def place_sensors(self) -> NDArray[np.int64]:
+        """`(F, 3)` addresses of where the bodies are that carry the fingertips; empty likewise."""
+        return self._sensor(sensors.PLACE, 3)
+
     def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
-        start = [self.model.sensor(f"{prefix}{i}").adr[0] for i in range(len(self.file.fingertips))]
+        kind, names = mujoco.mjtObj.mjOBJ_SENSOR, [f"{prefix}{i}" for i in range(len(self.file.fingertips))]
+        ids = [mujoco.mj_name2id(self.model, kind, name) for name in names]
+        start = [self.model.sensor_adr[sensor] for sensor in ids if sensor >= 0]
         return np.array(start, int).reshape(-1, 1) + np.arange(width)
 
     @cached_property
@@ -196,10 +220,10 @@ class Scene:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the compiled model and the roles: names what was simulated."""
-        size = mujoco.mj_sizeModel(self.model)
-        buffer = np.zeros(size, np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
+        """SHA-256 over the compiled model and the roles: names what was simulated, with labels or without."""
+        model = (self.unlabelled or self).model
+        buffer = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, buffer)
         given = "".join(setting.model_dump_json() for setting in self.given_effects)
         return hashlib.sha256(buffer.tobytes() + (self.file.model_dump_json() + given).encode()).hexdigest()
 
@@ -326,7 +350,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
     check_recorded(name, file, spec)
     _check_rate(name, file, model)
     _check_commands(name, model)
-    return Scene(name, file, model, policies)
+    return Scene(name, file, model, policies, spec=spec)
 
 
 def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:

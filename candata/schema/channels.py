@@ -126,7 +126,7 @@ _TABLE = (
         shape=("T", "F"),
         dtype="bool",
         role="measurement",
-        meaning="fingertip touches the object",
+        meaning="fingertip touches the object: by force, see contact_rule, where its source does not say",
     ),
     Channel(
         name="contact",
@@ -135,6 +135,14 @@ _TABLE = (
         dtype="bool",
         role="measurement",
         meaning="any fingertip touches the object",
+    ),
+    Channel(
+        name="fingertip_collision",
+        unit="1",
+        shape=("T", "F"),
+        dtype="bool",
+        role="truth",
+        meaning="a geom of the fingertip met the object in the last step, whatever the force: simulations know it",
     ),
     Channel(
         name="supply_voltage",

@@ -22,12 +22,28 @@ class Servo(Record):
     limit: Positive | None = None
 
 
+class Tracker(Record):
+    """The tracker that reports the object's pose, where it is slower than the log, late, or loses the object.
+
+    `rate_hz` are its readings a second; a log that is no faster has one in each row. `delay_s` passes from capture to
+    arrival. `drift` is the standard deviation of a random walk after 1 s: it grows with the root of the time
+    [m/sqrt(s), rad/sqrt(s)]. `dropout_share` of the time no pose is known, for `dropout_s` on average.
+    """
+
+    rate_hz: Rate
+    delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    drift: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    dropout_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    dropout_s: Positive = 0.2
+
+
 class Noise(Record):
     """Declared sensor noise, one standard deviation: the declared floor.
 
     `object_pose` is (position m, rotation rad), `joint_position` rad or m, one number or one a joint,
     `joint_velocity` [rad/s or m/s] and `joint_effort` [N m or N] alike, `fingertip_force` N. `force_step` [N] and
-    `joint_step` [rad or m, as `joint_position`] are the steps to which readings are rounded.
+    `joint_step` [rad or m, as `joint_position`] are the steps to which readings are rounded. `tracker` is applied to
+    simulated episodes; a diagnosis finds slow readings and gaps in the recordings themselves.
     """
 
     object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
@@ -37,6 +53,7 @@ class Noise(Record):
     joint_step: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda step: step == 0.0)
     joint_velocity: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda sd: sd == 0.0)
     joint_effort: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda sd: sd == 0.0)
+    tracker: Tracker | None = Field(default=None, exclude_if=lambda value: value is None)
 
 
 class Repeatability(Record):

@@ -14,16 +14,19 @@ from candata.policies import Motion, Plan, StepPolicy, command_limits, motion_pl
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
+from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
 from candata.schema.disturbance import Disturbances, Kick
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
 from candata.simulate.closed_loop import ClosedLoop, Pilot
+from candata.simulate.contact_labels import NEWTON_PER_COUNT, label_channels
 from candata.simulate.disturbances import Kicks, drawn_command_noise, drawn_kicks
 from candata.simulate.loop import Alter, Trajectory, rollout
 from candata.simulate.outcome import object_motion, outcome
 from candata.simulate.perturbation import Draw, perturbed
+from candata.simulate.tracker import with_tracker
 
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
@@ -228,10 +231,16 @@ def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pil
     return Pilot(
         job.id,
         partial(job.step_policy.begin, scene, _rng(job, POLICY_STREAM)),
-        lambda readings: add_noise(readings, noise, _rng(job, NOISE_STREAM)),
+        lambda readings: _sensed(scene, job, readings, noise),
         rows,
         _command_noise(scene, job, rows),
     )
+
+
+def _sensed(scene: Scene, job: EpisodeJob, readings: dict[str, Array], noise: Noise | None) -> dict[str, NDArray]:
+    """Return readings `(T, ...)` with the episode's noise, the object's pose as the scene's tracker gives it."""
+    rng = _rng(job, NOISE_STREAM)
+    return with_tracker(add_noise(readings, noise, rng), noise, scene.file.rate_hz, rng)
 
 
 def _refuse_impossible(scene: Scene, job: EpisodeJob, plan: Plan) -> None:
@@ -281,17 +290,17 @@ def _episode(
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
     readings = {name: value[index, part] for name, value in trajectory.readings.items()}
-    arrays: dict[str, NDArray] = {**add_noise(readings, noise, _rng(job, NOISE_STREAM))}
+    arrays = _sensed(scene, job, readings, noise)
+    labels = {name: value[index, part] for name, value in trajectory.labels.items()}
+    arrays |= label_channels(labels, arrays.get("fingertip_force"))
     count = len(plan.commands)
     arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
     if plan.commands.shape[1]:
         arrays["action"] = plan.commands
-    rule = None
     if "fingertip_force" in arrays:
-        rule = ContactRule()
-        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
+        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], ContactRule().threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, rule, kicks, _outcome(scene, plan, trajectory, index, part)), arrays)
+    return Episode(_meta(scene, job, arrays, kicks, _outcome(scene, plan, trajectory, index, part)), arrays)
 
 
 def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part: slice) -> str | None:
@@ -307,9 +316,9 @@ def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part:
 
 
 def _meta(
-    scene: Scene, job: EpisodeJob, rule: ContactRule | None, kicks: tuple[Kick, ...], outcome_word: str | None
+    scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray], kicks: tuple[Kick, ...], outcome_word: str | None
 ) -> EpisodeMeta:
-    """Return who, what, when."""
+    """Return who, what, when; and what is to be known of the arrays."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
     labels = job.draw.labels() if job.draw else {}
@@ -328,7 +337,13 @@ def _meta(
         joint_names=scene.file.joints,
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
-        contact_rule=rule,
+        contact_rule=ContactRule() if "fingertip_force" in arrays else None,
+        newton_per_count=NEWTON_PER_COUNT if "taxels" in arrays else None,
+        invalid_counts={
+            name.removesuffix(VALID_SUFFIX): int((~flags).sum())
+            for name, flags in arrays.items()
+            if name.endswith(VALID_SUFFIX)
+        },
         point_cloud=job.point_cloud,
         labels=labels,
         kicks=kicks,

@@ -68,6 +68,7 @@ def generate(
     step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
+    taxels: bool = False,
     outcomes: Mapping[str, float] | None = None,
     withheld: Withheld | None = None,
     workers: int | None = None,
@@ -111,6 +112,8 @@ def generate(
         Length of an episode; what a policy file holds has its own.
     noise : bool
         Add the sensor noise that the scene declares.
+    taxels : bool
+        Add what the taxels of each fingertip count.
     outcomes : mapping of str to float, optional
         Shares of wanted outcomes, see `candata.simulate.wanted`: grip, aim and timing are drawn until an episode ends
         as its turn wants. Then only policies with a goal play.
@@ -158,6 +161,7 @@ def generate(
         step_policy=step_policy,
         duration_s=duration_s,
         noise=noise,
+        taxels=taxels,
         outcomes=outcomes,
     )
     held_objects = checked_objects(recipe, model, episodes)

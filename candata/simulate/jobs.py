@@ -60,6 +60,7 @@ class GenerationRecipe(Record):
     policy_digest: str | None = None
     duration_s: float
     noise: bool
+    taxels: bool = False
     objects: tuple[str, ...] = ()
     point_clouds: tuple[str, ...] = ()
     outcomes: dict[str, float] = Field(default_factory=dict)
@@ -255,6 +256,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         "duration_s": recipe.duration_s,
         "noise": recipe.noise,
     }
+    if recipe.taxels:
+        details["taxels"] = True
     if object_digests:
         details["objects"] = object_digests
     if recipe.outcomes:

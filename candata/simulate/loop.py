@@ -17,6 +17,7 @@ from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
 from candata.simulate.closed_loop import ClosedLoop
+from candata.simulate.contact_labels import row_labels
 from candata.simulate.disturbances import Kicks
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.servo_laws import DriveScales, ServoLaws, servo_laws, without_command_limits
@@ -57,6 +58,8 @@ class Trajectory:
     memory, first_memory : (n, M), (M,) float64
         What actuators and plugins remember at the last row, and as the model begins; empty unless the state was asked
         for.
+    labels : dict of str to ndarray
+        What a scene with labels tells, see `read_labels`: `(n, T, ...)` each.
     """
 
     readings: dict[str, Array]
@@ -67,6 +70,7 @@ class Trajectory:
     qvel: Array = field(default_factory=lambda: np.zeros(0))
     memory: Array = field(default_factory=lambda: np.zeros(0))
     first_memory: Array = field(default_factory=lambda: np.zeros(0))
+    labels: dict[str, NDArray] = field(default_factory=dict)
 
 
 def memory_size(model: mujoco.MjModel) -> int:
@@ -230,13 +234,17 @@ class _Run:
         sensor_data, touch = self._nothing(), np.zeros(self.n, bool)
         unread_rows: list[tuple[dict[str, Array], list[Array]]] = []
         rows: dict[str, list[Array]] = {}
+        labels: dict[str, list[NDArray]] = {}
         touches, sizes, states = [], [], []
         failed_row = np.full(self.n, count)
         for k in range(count):
             state = self._readings()
             unread_rows.append((state, sensor_data))
             if len(unread_rows) == rows_together or k + 1 == count:
-                force = self._forces([data for _, data in unread_rows], instant)
+                data_rows = [data for _, data in unread_rows]
+                force = self._forces(data_rows, instant)
+                for name, values in row_labels(scene, self.groups, data_rows, instant).items():
+                    labels.setdefault(name, []).append(values)
                 sizes.append(np.sqrt((force**2).sum(-1)))
                 self._read(rows, [each for each, _ in unread_rows], force)
                 unread_rows = []
@@ -256,11 +264,11 @@ class _Run:
                 self._apply_strength(k)
                 sensor_data, touch = self._step(held_commands)
                 failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
-        state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
+        qpos, qvel = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
-        trajectory = Trajectory(
-            readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed_row, *state_arrays
-        )
+        tip_force = np.concatenate(sizes).swapaxes(0, 1)
+        joined = {name: np.concatenate(values).swapaxes(0, 1) for name, values in labels.items()}
+        trajectory = Trajectory(readings, np.stack(touches, 1), tip_force, failed_row, qpos, qvel, labels=joined)
         return replace(trajectory, memory=self._remembered(), first_memory=self.first_memory) if keep else trajectory
 
     def _readings(self) -> dict[str, Array]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from candata.scenes import Scene, load_scene
+from candata.scenes.labels import with_labels
 from candata.schema.episode import Episode
 from candata.schema.quarantine import QuarantinedEpisode
 from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
@@ -82,7 +83,7 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...], str
         by_scene.setdefault(plan.scenes[plan.scene_turn(number)], []).append(number)
     made: dict[int, Episode | QuarantinedEpisode] = {}
     for name, scene_numbers in by_scene.items():
-        scene = _scene(name)
+        scene = _scene(name, plan.taxels)
         motions = motions_of(plan, scene)
         noise = scene.file.noise if plan.noise else None
         batch = [job(plan, number, scene, motions) for number in scene_numbers]
@@ -146,9 +147,9 @@ def _run_task(work: Callable[..., T], task: tuple[Any, ...]) -> T:
 
 
 @lru_cache(maxsize=SCENES_KEPT)
-def _scene(name: str) -> Scene:
-    """Return the scene, compiled once a process."""
-    return load_scene(name)
+def _scene(name: str, taxels: bool) -> Scene:
+    """Return the scene with labels, compiled once a process."""
+    return with_labels(load_scene(name), taxels)
 
 
 def _start() -> None:

@@ -36,6 +36,7 @@ def make_recipe(
     step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
+    taxels: bool = False,
     outcomes: Mapping[str, float] | None = None,
 ) -> GenerationRecipe:
     """Return the recipe of a set in a scene that is loaded as `model`; parameters are those of `generate`.
@@ -55,6 +56,7 @@ def make_recipe(
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
+        taxels=taxels,
         outcomes=dict(sorted((outcomes or {}).items())),
     )
     if policy_file is not None:
@@ -78,6 +80,7 @@ class SetOptions(TypedDict, total=False):
     step_policy: str | None
     duration_s: float
     noise: bool
+    taxels: bool
     outcomes: Mapping[str, float] | None
 
 

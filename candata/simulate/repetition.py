@@ -17,6 +17,7 @@ from candata.policies import Motion, StepPolicy, read_motions, read_step_policy
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.contract import OBJECTS
+from candata.scenes.labels import with_labels
 from candata.scenes.object_folder import named_object
 from candata.schema.disturbance import Disturbances
 from candata.schema.episode import Episode, EpisodeMeta
@@ -98,6 +99,8 @@ def repeat_episode(
     for generation in _origins(dataset, recorded.meta):
         try:
             asked_scene = _scene(recorded.meta, generation, scene, objects)
+            if "fingertip_collision" in recorded or "taxels" in recorded:
+                asked_scene = with_labels(asked_scene, "taxels" in recorded)
             repeated = _simulated(recorded.meta, generation, asked_scene, policy_file, step_policy)
             _refuse_difference(recorded, repeated, generation)
         except DataError as error:

@@ -107,7 +107,10 @@ def with_effects(scene: Scene, settings: EffectList) -> Scene:
     if not settings:
         return scene
     (model,) = build_worlds(scene, [settings]).models
-    return replace(scene, model=model, given_effects=(*scene.given_effects, *settings), plain=scene.plain or scene)
+    given_effects = (*scene.given_effects, *settings)
+    return replace(
+        scene, model=model, given_effects=given_effects, plain=scene.plain or scene, spec=None, unlabelled=None
+    )
 
 
 def all_effects(scene: Scene, settings: EffectList) -> tuple[EffectSetting, ...]:

@@ -155,3 +155,15 @@ def test_a_page_where_none_can_be_is_one_error(root, tmp_path):
     (tmp_path / "file").write_text("x")
     error = run("inspect", root, "--html", tmp_path / "file" / "p.html").exception
     assert (type(error), error.exit_code) == (SetupError, 3)
+
+
+def test_two_labels_of_contact_are_compared(tmp_path, episode):
+    plain = episode("e", rows=4, fingertip_names=("a", "b"))
+    contact, collision = np.zeros((4, 2), bool), np.array([[0, 1], [0, 1], [0, 0], [0, 0]], bool)
+    arrays = {**plain.arrays, "fingertip_contact": contact, "fingertip_collision": collision}
+    root = create_dataset(tmp_path / "labels")
+    append(root, [Episode(plain.meta, arrays)], Lineage(operation="test"))
+    lines = run("inspect", root).stdout.splitlines()
+    assert "collision: a 0.0%, b 50.0%" in lines
+    assert "collision differs from contact: a 0.0%, b 50.0%" in lines
+    assert json.loads(run("inspect", root, "--json").stdout)["label_disagreements"] == {"a": 0.0, "b": 0.5}

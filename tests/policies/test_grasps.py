@@ -79,7 +79,7 @@ def test_the_hand_starts_clear_of_object_and_table(ball):
 
 
 def test_what_is_too_wide_is_refused_with_both_widths(scene_with):
-    plate = scene_with(0.5, type="box", size_m=[0.125, 0.125, 0.015])
+    plate = scene_with(0.5, type="box", size_m=[0.125, 0.125, 0.005])
     with pytest.raises(SceneError, match="no grasp reaches the object") as error:
         policy("pick_and_place").plan(plate, np.random.default_rng(0), 5.0)
     assert re.search(r"opposing points \d+ to \d+ mm apart; the fingertips open to \d+ mm", str(error.value))

@@ -33,7 +33,7 @@ def make_episode(name="e", rows=ROWS, **changes):
         "fingertip_contact": np.zeros((rows, tips), bool),
     }
     meta = {"source": "sim", "rate_hz": 50.0, "scene": "gripper_tabletop", "joint_names": scene.file.joints}
-    meta |= {k: changes.pop(k) for k in list(changes) if k in (*meta, "labels")}
+    meta |= {k: changes.pop(k) for k in list(changes) if k in (*meta, "labels", "object")}
     arrays = {k: v for k, v in (arrays | changes).items() if v is not None}
     return Episode(EpisodeMeta.model_validate({"id": name, **meta}), arrays)
 
@@ -150,6 +150,12 @@ def test_unknown_episodes_and_cameras_are_named(dataset):
         footage(data, "x", TWO)
     with pytest.raises(UnknownNameError, match="unknown camera 'x'"):
         next(pictures(footage(data, "e", TWO), *SIZE, camera="x"))
+
+
+def test_a_ghost_of_another_object_is_said(dataset):
+    data, other = dataset(make_episode(object="can")), dataset(make_episode(object="mug"), name="other")
+    (note,) = footage(data, "e", TWO, over=(other, "e")).notes
+    assert note == "the ghost is mug, drawn in the shape of can"
 
 
 def test_a_ghost_needs_an_object(dataset):
