@@ -52,6 +52,8 @@ def attempted_episodes(
     seen: dict[int, Counter[str]] = {place: Counter() for place in range(len(jobs))}
     for attempt in range(MOST_ATTEMPTS):
         places = [place for place in seen if place not in results]
+        if not places:
+            break
         batch = [_attempt(jobs[place], wanted[place], attempt, duration_s) for place in places]
         for place, made in zip(places, _tried(scene, batch, duration_s, noise), strict=True):
             word = wanted[place]
