@@ -8,7 +8,9 @@ from typing import Any
 import typer
 
 #: Options that say where and how fast, not what is made; a recipe does not hold them.
-_NOT_IN_RECIPES = frozenset({"recipe", "out", "jobs", "again", "episode", "seal", "salt"})
+_NOT_IN_RECIPES = frozenset(
+    {"recipe", "out", "jobs", "shard", "ray", "strict", "dry_run", "json", "again", "episode", "seal", "salt"}
+)
 
 
 def use_recipe(context: typer.Context, path: Path | None) -> Path | None:
@@ -38,10 +40,12 @@ def use_recipe(context: typer.Context, path: Path | None) -> Path | None:
 
 
 def _plain_value(value: Any, folder: Path) -> Any:
-    """Return a value as it would be typed: a list as words with commas, a file beside the recipe by its path.
+    """Return a value as it would be typed: a list as words with commas, shares as NAME:SHARE, a file by its path.
 
     A folder is meant where its name holds a slash; a bare word may be the name of a scene.
     """
+    if isinstance(value, dict):
+        return ",".join(f"{name}:{share}" for name, share in value.items())
     if isinstance(value, list):
         return ",".join(str(_plain_value(each, folder)) for each in value)
     if isinstance(value, str):

@@ -22,8 +22,8 @@ from candata.simulate.episodes import ATTEMPT_STREAM, EpisodeJob, planned, tried
 from candata.simulate.perturbation import drawn
 
 Array = NDArray[np.float64]
-#: Attempts at a wanted outcome, after which the episode is left out. Chosen: five times as many as it takes until the
-#: draws are as wide as they get, so that what one draw in ten gives fails once in 30.
+#: Attempts at a wanted outcome, after which the episode is left out. Chosen: what one draw in ten gives is missed by
+#: one episode in 60.
 MOST_ATTEMPTS = 40
 #: Depth of an object in the hand or the table at which it starts inside [m], and how far the settling may move it out
 #: [m]. Chosen: soft contacts of resting objects stay below 1 mm, and an object that a finger moves aside stays near.
@@ -52,6 +52,8 @@ def attempted_episodes(
     seen: dict[int, Counter[str]] = {place: Counter() for place in range(len(jobs))}
     for attempt in range(MOST_ATTEMPTS):
         places = [place for place in seen if place not in results]
+        if not places:
+            break
         batch = [_attempt(jobs[place], wanted[place], attempt, duration_s) for place in places]
         for place, made in zip(places, _tried(scene, batch, duration_s, noise), strict=True):
             word = wanted[place]

@@ -117,7 +117,8 @@ def outcome(goal: Goal, motion: ObjectMotion) -> str:
     - `drop`: it was lifted free and fell before it was put down, or it fell off what it lay on.
     - `topple`: it ended on another side, without that being meant.
     - `success`: it did all that was meant.
-    - `slip`: it was held (pushed, where it was meant to be) and slid out of the fingers, or sank in the grasp.
+    - `slip`: it was held (pushed, where it was meant to be) and did less than was meant, as when it slides out of the
+      fingers or sinks in the grasp.
     - `miss`: the fingertips never held it (never moved it, where it was meant to be pushed).
 
     The first that holds counts. An object that is meant to slip succeeds when it does not stay in the hand.

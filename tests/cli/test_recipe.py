@@ -37,6 +37,13 @@ def test_a_recipe_holds_options_and_files_beside_it(recipe, tmp_path):
     assert next(iter(first)).meta.effects[0].name == "object_mass"
 
 
+def test_a_recipe_may_hold_shares_of_outcomes(tmp_path):
+    (tmp_path / "set.yaml").write_text("scene: gripper_tabletop\nepisodes: 2\noutcomes: {success: 0.5, fail: 0.4}\n")
+    result = run("generate-sim", "--recipe", tmp_path / "set.yaml", "--out", tmp_path / "a")
+    assert result.err.startswith("the shares of --outcomes do not sum to 1\n")
+    assert "found: 0.9 in success:0.5,fail:0.4\n" in result.err
+
+
 def test_what_is_typed_goes_before(recipe, tmp_path):
     assert run("generate-sim", "--recipe", recipe, "--episodes", 2, "--out", tmp_path / "a").code == 0
     assert len(open_dataset(tmp_path / "a")) == 2
@@ -47,6 +54,7 @@ def test_what_is_typed_goes_before(recipe, tmp_path):
     [
         ("episods: 3\n", "episods is no option that a recipe may hold"),
         ("out: elsewhere\n", "out is no option that a recipe may hold"),
+        ("shard: 1/2\n", "shard is no option that a recipe may hold"),
         ("- 3\n", "holds no options"),
         ("", "holds no options"),
         ("episodes: many\n", "Invalid value for '--episodes'"),

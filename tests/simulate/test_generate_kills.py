@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import subprocess
@@ -30,9 +31,9 @@ def reference(tmp_path_factory) -> str:
     return generate(folder, "cube_toss", 96, 7, duration_s=0.4, workers=1).digest
 
 
-def begin(folder: Path) -> subprocess.Popen[str]:
+def begin(folder: Path, words: tuple[str, ...] = SET) -> subprocess.Popen[str]:
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-m", "candata_cli.main", "generate-sim", *SET, "--out", str(folder)]
+    command = [sys.executable, "-m", "candata_cli.main", "generate-sim", *words, "--out", str(folder)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
 
 
@@ -67,6 +68,25 @@ def test_killed_in_its_first_seconds(tmp_path, reference):
 @pytest.mark.parametrize("seed", range(8))
 def test_killed_in_its_first_seconds_many_times(tmp_path, reference, seed):
     killed_again_and_again(tmp_path / "set", 6, random.Random(seed), reference)
+
+
+@pytest.mark.slow
+def test_killed_while_it_tries_for_outcomes_and_leaves_episodes_out(tmp_path):
+    words = ("--scene", "gripper_tabletop", "--policies", "grasp_lift_shake", "--episodes", "48", "--duration-s", "2")
+    words = (*words, "--outcomes", "drop:0.5,success:0.5", "--jobs", "1")
+    printed = []
+    for name, kills in (("whole", 0), ("killed", 6)):
+        rng = random.Random(3)
+        for _ in range(kills):
+            with begin(tmp_path / name, words) as run:
+                time.sleep(rng.uniform(3.0, 12.0))
+                run.kill()
+                run.communicate(timeout=60)
+        with begin(tmp_path / name, (*words, "--json")) as run:
+            printed.append(json.loads(run.communicate(timeout=240)[0]))
+    whole, killed = printed
+    assert whole["quarantined"]
+    assert {**killed, "dataset": whole["dataset"]} == whole
 
 
 def test_a_run_that_was_killed_between_two_parts_says_how_much_stands(tmp_path, reference):
