@@ -89,6 +89,15 @@ def test_a_ball_that_rolls_has_not_toppled():
     assert outcome(Goal(lift_m=0.03), rolled) == "miss"
 
 
+def test_a_slim_box_with_soft_edges_topples_though_it_hardly_rises():
+    # 6 x 16 x 21 cm without what lies within 1 cm of its edges: tipping raises it by 1.9 mm.
+    sides = np.array([0.03, 0.08, 0.105])
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 3), axis=-1).reshape(-1, 3) * sides
+    surface = grid[((sides - np.abs(grid)) < 0.01).sum(1) == 1]
+    made = motion(rows((30, 0.0), (50, 0.03 - 0.105)), turn=TIPPED, touch=(30, 50), surface=surface)
+    assert outcome(Goal(topple=True), made) == "success"
+
+
 def test_an_object_put_down_from_low_was_not_dropped():
     lowered = rows((20, 0.0), (40, 0.05), (70, 0.05), (85, 0.012), (90, 0.0))
     assert outcome(LIFT, motion(lowered, held=(15, 85))) == "success"
