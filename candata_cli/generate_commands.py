@@ -185,7 +185,7 @@ def _shard(text: str) -> tuple[int, int]:
     from candata.errors import UsageError
 
     number, mark, count = text.partition("/")
-    if not (mark and number.isdigit() and count.isdigit()):
+    if not (mark and number.isdecimal() and count.isdecimal()):
         raise UsageError("--shard cannot be read", expected="such as 1/2", found=repr(text))
     return int(number), int(count)
 

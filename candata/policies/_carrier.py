@@ -114,7 +114,7 @@ class Carrier:
         is_at_end = (moves[worst] <= chain.low) | (moves[worst] >= chain.high)
         names = [self.scene.file.actuator_names[c] for c in self.columns[is_at_end]]
         raise ReachError(
-            f"scene {self.scene.name}: what carries the hand cannot follow its path",
+            "what carries the hand cannot follow its path",
             expected=f"within {1000 * MOST_OFF_M:.0f} mm and {np.rad2deg(MOST_OFF_RAD):.0f} degrees",
             found=f"{1000 * off_m[worst]:.0f} mm and {np.rad2deg(off_rad[worst]):.0f} degrees off after "
             f"{worst / self.scene.file.rate_hz:.2f} s, "

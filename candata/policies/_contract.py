@@ -28,7 +28,8 @@ class Goal:
     place_tolerance_m : float
         Greatest distance from `place_m`, along the support, that still counts [m].
     turn_rad : float
-        Least angle by which the object is turned at some row while a fingertip touches it, from row 0 [rad].
+        Least angle about the vertical by which the object is turned at some row while a fingertip touches it, from
+        row 0 [rad].
     topple : bool
         The object is meant to end on another side than it began.
     slip : bool

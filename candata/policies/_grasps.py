@@ -221,7 +221,7 @@ class _Search:
         if clear_grasps:
             return clear_grasps[:TRIED]
         raise SceneError(
-            f"scene {self.scene.name}: no grasp reaches the object",
+            "no grasp reaches the object",
             expected="two opposing points on it that the fingertips reach, clear of object and support",
             found=_why_none([pinch.gap_m for pinch in all_pinches], widths, fitting),
             where=Where(path=self.scene.name),

@@ -72,10 +72,14 @@ class Network:
         """
         self._refuse_other(scene)
         history: deque[Array] = deque(maxlen=self.card.history)
+        last_finite: dict[str, Array] = {}
 
         def step(observation: Observation) -> Array:
             seen = {**observation.readings, "action": observation.action}
-            now = np.concatenate([np.ravel(seen[name]) for name in self.card.inputs])
+            for name in self.card.inputs:  # a reading that is missing keeps its last value; 0 before the first
+                values = np.ravel(seen[name])
+                last_finite[name] = np.where(np.isfinite(values), values, last_finite.get(name, 0.0))
+            now = np.concatenate([last_finite[name] for name in self.card.inputs])
             history.extend([now] * (1 if history else self.card.history))
             out = self._forward(np.concatenate(history))
             return out + observation.action if self.card.commands == "change" else out

@@ -75,7 +75,9 @@ def _begun(source: str, function: Callable[..., Any], scene: Scene, rng: np.rand
     """Return what a user's function gives for one episode, once it is known to be a function."""
     try:
         step = function(scene, rng)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise  # a worker is told to leave
         raise DataError(
             "the policy fails before its first step",
             expected=f"a function step(observation) from {source}(scene, rng)",
@@ -111,11 +113,11 @@ def _module(name: str) -> Any:
             spec = importlib.util.spec_from_file_location(path.stem, path)
             if spec is None or spec.loader is None:
                 raise UsageError(f"{name} is no Python file", where=Where(path=name))
+            _see_modules_in(path.resolve().parent)
             module = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(module)
             return module
-        if (folder := str(Path.cwd())) not in sys.path:
-            sys.path.append(folder)
+        _see_modules_in(Path.cwd())
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name is None or not (name == error.name or name.startswith(f"{error.name}.")):
@@ -129,6 +131,12 @@ def _module(name: str) -> Any:
         raise
     except Exception as error:
         raise _failed_import(name, error) from error
+
+
+def _see_modules_in(folder: Path) -> None:
+    """Let modules in a folder be imported, behind all others."""
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
 
 
 def _failed_import(name: str, error: Exception) -> DataError:

@@ -56,7 +56,7 @@ def _displacement(scene: Scene, rng: np.random.Generator, grasp: g.Grasp, height
         if g.can_follow(scene, corners + np.concatenate([displacement, np.zeros(3)])):
             return displacement
     raise ReachError(
-        f"scene {scene.name}: the hand cannot carry the object along its support",
+        "the hand cannot carry the object along its support",
         expected=f"room for at least {1000 * CARRY_M[0]:.0f} mm",
         found=f"none in {DRAWS} draws of a direction and a distance",
         where=Where(path=scene.name),

@@ -52,7 +52,7 @@ def _pull(scene: Scene, rng: np.random.Generator, grasp: g.Grasp) -> Array:
         if g.can_follow(scene, ends + np.concatenate([pull, np.zeros(3)])):
             return pull
     raise ReachError(
-        f"scene {scene.name}: the hand cannot pull the object along its support",
+        "the hand cannot pull the object along its support",
         expected=f"room for at least {1000 * PULL_M[0]:.0f} mm",
         found=f"none in {DRAWS} draws of a direction and a distance",
         where=Where(path=scene.name),

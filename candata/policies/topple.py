@@ -83,7 +83,7 @@ def _strikes(key: g.SameScene) -> list[Strike]:
     possible = [strike for strike in _candidates(scene) if g.can_follow(scene, strike.ends)]
     if not possible:
         raise ReachError(
-            f"scene {scene.name}: the hand cannot strike the object near its top",
+            "the hand cannot strike the object near its top",
             expected=f"a stroke of {1000 * (THROUGH_M + RUN_UP_M):.0f} mm or more at the height of the object's top",
             found="none within the reach of what carries the hand",
             where=Where(path=scene.name),

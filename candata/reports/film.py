@@ -183,7 +183,8 @@ def _builtin_scene(episode: Episode) -> str:
     base, mark, object_name = meta.scene.rpartition(OBJECT_MARK)
     if meta.scene in SCENES or (base in SCENES and object_name in OBJECTS):
         return meta.scene
-    fix = f"--scene {base}{mark}FOLDER, with the folder of the object" if base in SCENES else "--scene scene.yaml"
+    scene_name = base if base in SCENES else "scene.yaml"
+    fix = f"--scene {scene_name}{mark}FOLDER, with the folder of the object" if mark else f"--scene {scene_name}"
     raise UsageError(f"the episode's scene {meta.scene} is not built in", where=where, fix=f"give it: {fix}")
 
 

@@ -144,6 +144,8 @@ def _mount(spec: mujoco.MjSpec, site: mujoco.MjsSite, hand: Hand | mujoco.MjSpec
         return [mount]
     for option in (name for name in dir(spec.option) if not name.startswith("_")):
         setattr(hand.option, option, getattr(spec.option, option))
+    if not list(hand.worldbody.bodies):
+        raise SceneError("the model of the hand has no bodies", fix="name the file of a hand")
     hand.memory, hand.njmax, hand.nconmax, hand.nstack = spec.memory, spec.njmax, spec.nconmax, spec.nstack
     return [site.attach_body(body, HAND_PREFIX, "") for body in list(hand.worldbody.bodies)]
 

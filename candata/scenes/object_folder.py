@@ -47,6 +47,12 @@ def named_object(name: str) -> SceneObject:
         When the folder holds no sound object.
     """
     folder = Path(name)
+    if name not in OBJECTS and "/" in name and not folder.is_dir():
+        raise UsageError(
+            f"object folder {name} does not exist",
+            expected="a folder that `candata scene object add` or `candata fetch ycb` made, or a registered name",
+            where=Where(path=name),
+        )
     return read_object(folder) if name not in OBJECTS and folder.is_dir() else OBJECTS.load(name)
 
 

@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from candata.schema.record import Record
 
+#: Shortest time between kicks [s], and their largest sizes [m/s, rad/s]. Chosen: a tenth of a control step of a fast
+#: hand, and what a thrown ball has.
+LEAST_INTERVAL_S, MOST_SPEED_M_S, MOST_TURN_RAD_S = 0.001, 30.0, 300.0
 Vector = tuple[float, float, float]
 
 
@@ -26,9 +29,9 @@ class KickDraw(Record):
     Directions are isotropic. Sizes are uniform from 0 to `speed_m_s` [m/s] and `turn_rad_s` [rad/s].
     """
 
-    interval_s: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]]
-    speed_m_s: Annotated[float, Field(ge=0)] = 0.0
-    turn_rad_s: Annotated[float, Field(ge=0)] = 0.0
+    interval_s: tuple[Annotated[float, Field(ge=LEAST_INTERVAL_S)], Annotated[float, Field(ge=LEAST_INTERVAL_S)]]
+    speed_m_s: Annotated[float, Field(ge=0, le=MOST_SPEED_M_S)] = 0.0
+    turn_rad_s: Annotated[float, Field(ge=0, le=MOST_TURN_RAD_S)] = 0.0
 
     @model_validator(mode="after")
     def _is_kick(self) -> Self:

@@ -120,7 +120,8 @@ class ClosedLoop:
     def _given(self, i: int, pilot: Pilot, observation: Observation) -> Array:
         """Return the commands that a policy gives, which begins with its first row."""
         if observation.row == 0:
-            self._steps[i] = pilot.begin()
+            with time_limit():
+                self._steps[i] = pilot.begin()
         return _checked_commands(self._steps[i], pilot.episode, observation)
 
     def _sensed(self, i: int, pilot: Pilot, number: int, readings: dict[str, Array]) -> dict[str, Array]:
@@ -139,17 +140,22 @@ class ClosedLoop:
 def _checked_commands(step: Step, episode: str, observation: Observation) -> Array:
     """Return what a policy gives, once it is known to be commands."""
     try:
-        with _time_limit():
+        with time_limit():
             given = step(observation)
-        commands = np.asarray(given, dtype=np.float64)
+        commands = np.asarray(given)
+        commands = commands if np.iscomplexobj(commands) else commands.astype(np.float64)
     except DataError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise  # a worker is told to leave
         problem = f"{type(error).__name__}: {error}"
         raise _failed_step("the policy failed", "commands", problem, episode, observation) from error
     shape = observation.action.shape
-    if commands.shape != shape or not np.isfinite(commands).all():
-        problem = "numbers that are not finite" if commands.shape == shape else f"shape {commands.shape}"
+    if commands.shape != shape or np.iscomplexobj(commands) or not np.isfinite(commands).all():
+        problem = (
+            "complex numbers, or some that are not finite" if commands.shape == shape else f"shape {commands.shape}"
+        )
         raise _failed_step("the policy gave no commands", f"{shape[0]} finite numbers", problem, episode, observation)
     return commands
 
@@ -165,7 +171,7 @@ def _failed_step(problem: str, expected: str, found: str, episode: str, observat
 
 
 @contextmanager
-def _time_limit() -> Iterator[None]:
+def time_limit() -> Iterator[None]:
     """Raise TimeoutError in the block after `STEP_LIMIT_S`; without effect outside of a process's main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield

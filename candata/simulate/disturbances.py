@@ -21,13 +21,15 @@ _LEAST_SHARE = 0.05
 
 
 def check_disturbances(disturbances: Disturbances, scene: Scene) -> None:
-    """Refuse kicks to what a scene does not have.
+    """Refuse disturbances of what a scene does not have.
 
     Raises
     ------
     UsageError
-        When there is no object, or no joint that carries the hand.
+        When there is no object, no joint that carries the hand, or no position servo.
     """
+    if disturbances.command_noise is not None and not len(position_servo_columns(scene)):
+        raise UsageError(f"scene {scene.name} has no position servo to add noise to", fix="leave command_noise out")
     if disturbances.object_kicks is not None and scene.object_id is None:
         raise UsageError(f"scene {scene.name} has no object to kick", fix="leave object_kicks out")
     if disturbances.hand_kicks is not None and not len(carrier(scene).columns):
@@ -38,12 +40,12 @@ def check_disturbances(disturbances: Disturbances, scene: Scene) -> None:
         )
 
 
-def drawn_kicks(disturbances: Disturbances, rng: np.random.Generator, duration_s: float) -> tuple[Kick, ...]:
-    """Return the kicks of an episode in the order of their times; those of the object are drawn first."""
+def drawn_kicks(disturbances: Disturbances, rng: np.random.Generator, rows: int, rate_hz: float) -> tuple[Kick, ...]:
+    """Return the kicks of an episode in the order of their times, none of which comes after the last step."""
     kicks = []
     for target, draw in (("object", disturbances.object_kicks), ("hand", disturbances.hand_kicks)):
         time_s = 0.0
-        while draw is not None and (time_s := time_s + rng.uniform(*draw.interval_s)) < duration_s:
+        while draw is not None and (time_s := time_s + rng.uniform(*draw.interval_s)) * rate_hz < rows - 1.5:
             kicks.append(_drawn_kick(target, draw, rng, time_s))
     return tuple(sorted(kicks, key=lambda kick: kick.time_s))
 

@@ -221,7 +221,7 @@ def _kicks(scene: Scene, job: EpisodeJob, rows: int) -> tuple[Kick, ...]:
     """Return the kicks of a job."""
     if job.disturbances is None:
         return ()
-    return drawn_kicks(job.disturbances, _rng(job, KICK_STREAM), rows / scene.file.rate_hz)
+    return drawn_kicks(job.disturbances, _rng(job, KICK_STREAM), rows, scene.file.rate_hz)
 
 
 def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pilot | None:

@@ -17,7 +17,7 @@ from candata.scenes.object_folder import named_object
 from candata.schema.record import Record
 from candata.simulate.jobs import chunks
 from candata.simulate.pool import EpisodeChunk, make_chunk
-from candata.simulate.recipe import SetOptions, checked_objects, make_recipe, with_clouds
+from candata.simulate.recipe import SetOptions, check_count, checked_objects, make_recipe, with_clouds
 
 #: Episodes of the trial, after a first one that compiles the scene: at least, and at most where more policies take
 #: turns.
@@ -61,6 +61,7 @@ def forecast(
     SceneError
         When the scene is not sound.
     """
+    check_count(episodes, seed, workers)
     numbers = tuple(number for chunk in chunks(episodes, shard) for number in chunk)
     model = load_scene(scene)
     recipe = make_recipe(scene, model, seed, **options)

@@ -31,7 +31,7 @@ from candata.simulate.jobs import (
     tool_versions,
 )
 from candata.simulate.pool import ChunkResult, EpisodeChunk, make_chunk, producer
-from candata.simulate.recipe import checked_objects, make_recipe, with_clouds
+from candata.simulate.recipe import check_count, checked_objects, make_recipe, with_clouds
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def generate(
     SetupError
         When the Ray cluster cannot do the work.
     """
-    _check_count(episodes, seed, workers)
+    check_count(episodes, seed, workers)
     chunks_asked = chunks(episodes, shard)
     model = load_scene(scene)
     recipe = make_recipe(
@@ -250,6 +250,14 @@ def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out
     ):
         if is_given:
             raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")
+    names = [withheld.asked] if isinstance(withheld.asked, str) else [effect.name for effect in withheld.asked]
+    if recipe.step_policy is not None and {seals.ANY_EFFECT, "clock_drift"} & set(names):
+        raise UsageError(
+            "a clock that drifts cannot act in a closed loop, and might be drawn",
+            expected="other effects by name",
+            found=", ".join(names),
+            fix="give --withhold NAME",
+        )
     if out.resolve() in withheld.seal.resolve().parents:
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
     if (out / DATASET).exists() and not withheld.seal.exists():
@@ -262,13 +270,6 @@ def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out
     seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
     secret = {"seed": seal.stream, "effects": seal.effects, "sealed": seal.sealed}
     return recipe.model_copy(update=secret)
-
-
-def _check_count(episodes: int, seed: int, workers: int | None) -> None:
-    """Refuse counts and seeds that mean nothing."""
-    for name, value, minimum in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
-        if value is not None and value < minimum:
-            raise UsageError(f"--{name} is too small", expected=f"at least {minimum}", found=str(value))
 
 
 def _index(root: Path) -> dict[str, str]:
@@ -298,7 +299,10 @@ def _refuse_other(root: Path, recipe: GenerationRecipe, episodes: int, history: 
 
 def _difference(earlier: Sequence[Lineage], lineage: Lineage) -> tuple[str, str]:
     """Return what differs, there and here, from the nearest earlier set."""
-    differing_keys = [[k for k, v in _facts(lineage).items() if _facts(step).get(k) != v] for step in earlier]
+    differing_keys = [
+        [k for k in dict.fromkeys((*_facts(lineage), *_facts(step))) if _facts(step).get(k) != _facts(lineage).get(k)]
+        for step in earlier
+    ]
     if not differing_keys:
         return "a dataset of generate-sim", "another producer"
     step, keys = min(zip(earlier, differing_keys, strict=True), key=lambda pair: len(pair[1]))

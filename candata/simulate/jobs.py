@@ -118,6 +118,8 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
     check_randomisation(recipe.randomisation, scene)
     if recipe.disturbances is not None:
         check_disturbances(recipe.disturbances, scene)
+    if recipe.taxels and not scene.file.fingertips:
+        raise UsageError(f"scene {scene.name} has no fingertips, so no taxels", fix="leave --taxels out")
     if recipe.step_policy is not None:
         _check_step_policy(recipe, scene)
     for index in indices if recipe.randomisation else ():

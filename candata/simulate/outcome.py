@@ -77,9 +77,13 @@ class ObjectMotion:
 
     @cached_property
     def turn(self) -> Array:
-        """`(T,) [rad]` the angle by which the object is turned from row 0."""
+        """`(T,) [rad]` the angle by which the object is turned about the vertical from row 0.
+
+        It is the twist of a swing-twist decomposition: P. Dobrowolski, "Swing-twist decomposition in Clifford algebra",
+        2015, equation 12.
+        """
         relative = multiply(self.pose[:, 3:], conjugate(self.pose[:1, 3:]))
-        return 2 * np.arccos(np.clip(np.abs(relative[:, 0]), 0.0, 1.0))
+        return 2 * np.arctan2(np.abs(relative[:, 3]), np.abs(relative[:, 0]))
 
     def lasts(self, flags: Flags, time_s: float) -> bool:
         """Tell whether flags `(T,)` stay set for at least a time, one row at least."""
@@ -124,7 +128,7 @@ def outcome(goal: Goal, motion: ObjectMotion) -> str:
     The first that holds counts. An object that is meant to slip succeeds when it does not stay in the hand.
     """
     is_held = _was_held(motion)
-    if goal.slip and is_held and motion.clearance[-1] < LIFTED_M and _is_met(goal, motion):
+    if goal.slip and is_held and not _has_toppled(motion) and motion.clearance[-1] < LIFTED_M and _is_met(goal, motion):
         return "success"
     if _was_dropped(motion):
         return "drop"

@@ -142,7 +142,7 @@ def _run_task(work: Callable[..., T], task: tuple[Any, ...]) -> T:
     """Return what a task returns; a worker that is told to leave ends once the task has removed what is half."""
     try:
         return work(*task)
-    except SystemExit:
+    except _StoppedWorker:
         os._exit(1)
 
 
@@ -159,6 +159,10 @@ def _start() -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
+class _StoppedWorker(SystemExit):
+    """The parent told this worker to leave; what a user's code raises to end a program is another SystemExit."""
+
+
 def _leave(_number: int, _frame: object) -> NoReturn:
     """Leave the task under way, so that it removes what is half; the process goes soon after, whatever waits for it.
 
@@ -166,7 +170,7 @@ def _leave(_number: int, _frame: object) -> NoReturn:
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
-    raise SystemExit
+    raise _StoppedWorker
 
 
 def _end_with_parent() -> None:

@@ -46,6 +46,8 @@ def make_recipe(
     UsageError
         When two of them exclude each other, or a policy has no goal where outcomes are wanted.
     """
+    if not np.isfinite(duration_s):
+        raise UsageError("the length of the episodes is no number", expected="seconds", found=f"{duration_s:g}")
     recipe = GenerationRecipe(
         scene=scene,
         objects=tuple(objects),
@@ -66,6 +68,19 @@ def make_recipe(
     if effects and randomisation:
         raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
     return _with_goals(recipe, model, policies) if outcomes else recipe
+
+
+def check_count(episodes: int, seed: int, workers: int | None) -> None:
+    """Refuse counts and seeds that mean nothing.
+
+    Raises
+    ------
+    UsageError
+        When one is too small.
+    """
+    for name, value, minimum in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
+        if value is not None and value < minimum:
+            raise UsageError(f"--{name} is too small", expected=f"at least {minimum}", found=str(value))
 
 
 class SetOptions(TypedDict, total=False):

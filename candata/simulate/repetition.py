@@ -148,13 +148,13 @@ def _origins(dataset: Dataset, meta: EpisodeMeta) -> tuple[_Generation, ...]:
     return origins
 
 
-def _generations(origin: Origin) -> Iterator[tuple[str | None, _Generation]]:
-    """Yield every generation in a tree of versions, with the digest of its configuration."""
+def _generations(origin: Origin) -> Iterator[tuple[tuple[str | None, str], _Generation]]:
+    """Yield every generation in a tree of versions, with the digest of its configuration and its scene as typed."""
     for step in origin.steps:
         record = step.record
         if record.operation == OPERATION:
             details = _Details.parse(record.details, f"lineage of {origin.dataset}")
-            yield record.config_digest, _Generation(record.seeds, record.tools, details)
+            yield (record.config_digest, details.scene), _Generation(record.seeds, record.tools, details)
         for parent in step.parents:
             yield from _generations(parent)
 
@@ -203,6 +203,8 @@ def _motion(
 ) -> Motion | None:
     """Return the motion of a policy file that an episode played; None where it played a policy."""
     digest = generation.details.policy_file
+    if digest is None and policy_file is not None:
+        raise UsageError("the commands of the episode came from no policy file", fix="leave --policy-file out")
     if digest is None:
         return None
     if policy_file is None:
@@ -225,6 +227,8 @@ def _motion(
 def _step_policy(meta: EpisodeMeta, generation: _Generation, source: str | None) -> StepPolicy | None:
     """Return the policy of an episode's closed loop; None where its commands were planned."""
     digest = generation.details.step_policy
+    if digest is None and source is not None:
+        raise UsageError("the commands of the episode were planned", fix="leave --policy-module out")
     if digest is None:
         return None
     if source is None:

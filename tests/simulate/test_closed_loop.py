@@ -13,7 +13,7 @@ from candata.errors import DataError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import closed_loop
-from candata.simulate.generate import generate
+from candata.simulate.generate import Withheld, generate
 from candata.simulate.repetition import repeat_episode
 
 SET = {"scene": "gripper_tabletop", "episodes": 3, "seed": 4, "duration_s": 0.4, "workers": 1}
@@ -102,7 +102,7 @@ def test_workers_change_nothing_and_an_episode_is_made_again(tmp_path, module):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("not_finite", "numbers that are not finite, at row 5"),
+        ("not_finite", "some that are not finite, at row 5"),
         ("too_short", r"shape \(1,\), at row 0"),
         ("fails", "KeyError"),
         ("no_step", "does not begin"),
@@ -219,3 +219,21 @@ def test_an_episode_whose_policy_fails_is_left_out_and_the_others_are_as_ever(tm
     assert 0 < len(partly) < 8
     for episode in partly:
         np.testing.assert_array_equal(episode["object_pose"], complete.episode(episode.meta.id)["object_pose"])
+
+
+def test_a_policy_that_would_end_the_program_or_gives_complex_numbers_is_one_error(tmp_path):
+    (tmp_path / "bad.py").write_text(
+        "import sys\n"
+        "def leaves(scene, rng):\n    return lambda observation: sys.exit(0)\n"
+        "def complex_numbers(scene, rng):\n    return lambda observation: observation.action + 1j\n"
+    )
+    for name, said in (("leaves", "SystemExit"), ("complex_numbers", "complex numbers")):
+        with pytest.raises(DataError, match=said):
+            generate(tmp_path / "set", **SET, step_policy=f"{tmp_path / 'bad.py'}:{name}")
+
+
+def test_a_withheld_effect_that_might_be_a_drifting_clock_is_refused_before_it_is_drawn(tmp_path, module):
+    withheld = Withheld("any", tmp_path / "seal.json")
+    with pytest.raises(UsageError, match="clock that drifts"):
+        generate(tmp_path / "set", **SET, step_policy=f"{module}:watch", withheld=withheld)
+    assert not (tmp_path / "seal.json").exists()

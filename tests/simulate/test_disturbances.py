@@ -79,8 +79,11 @@ def test_a_disturbed_episode_is_made_again(tmp_path):
 
 
 def test_a_scene_without_a_hand_that_is_carried_gets_no_kick_of_it(tmp_path):
+    words = {"scene": "cube_toss", "duration_s": 0.2}
     with pytest.raises(UsageError, match="nothing carries the hand"):
-        episodes(tmp_path / "set", {"hand_kicks": {**OFTEN, "speed_m_s": 0.1}}, scene="cube_toss", duration_s=0.2)
+        episodes(tmp_path / "set", {"hand_kicks": {**OFTEN, "speed_m_s": 0.1}}, **words)
+    with pytest.raises(UsageError, match="no position servo"):
+        episodes(tmp_path / "set", {"command_noise": {"joint_rad": 0.1}}, **words)
 
 
 @pytest.mark.parametrize(
@@ -90,6 +93,8 @@ def test_a_scene_without_a_hand_that_is_carried_gets_no_kick_of_it(tmp_path):
         {"interval_s": (0.0, 0.4), "speed_m_s": 1},
         {"interval_s": (0.3, 0.4)},
         {"interval_s": (0.3, 0.4), "speed_m_s": -1},
+        {"interval_s": (1e-7, 1e-6), "speed_m_s": 1},
+        {"interval_s": (0.3, 0.4), "speed_m_s": 1e9},
     ],
 )
 def test_kicks_that_mean_nothing_are_refused(value):

@@ -45,7 +45,7 @@ def about_y(angles_rad):
 
 
 LIFTED = rows((20, 0.0), (40, 0.05), (70, 0.05), (90, 0.0))
-TURNED = {angle: about_y(rows((20, 0.0), (50, angle), (90, 0.0))) for angle in (0.5, 0.75)}
+TURNED = {angle: np.roll(about_y(rows((20, 0.0), (50, angle), (90, 0.0))), 1, axis=1) for angle in (0.5, 0.75)}
 TIPPED = about_y(rows((30, 0.0), (50, np.pi / 2)))
 #: Height of the centre of the tipped box above its first: it lies on a side.
 LYING_M = -0.03
@@ -68,6 +68,9 @@ LYING_M = -0.03
         (PUSH, motion(rows((30, 0.0), (50, LYING_M)), rows((30, 0.0), (50, 0.09)), TIPPED, touch=(30, 50)), "topple"),
         (Goal(topple=True), motion(rows((30, 0.0), (50, LYING_M)), turn=TIPPED, touch=(30, 50)), "success"),
         (Goal(topple=True), motion(touch=(30, 50)), "miss"),
+        (Goal(slip=True), motion(rows((30, 0.0), (50, LYING_M)), turn=TIPPED, held=(15, 50)), "topple"),
+        (Goal(slip=True), motion(held=(15, 50)), "success"),
+        (Goal(turn_rad=0.7), motion(turn=about_y(rows((20, 0.0), (50, 0.75), (90, 0.0))), held=(10, 92)), "slip"),
         (
             Goal(turn_rad=0.7),
             motion(turn=TURNED[0.75], held=(15, 92)),
