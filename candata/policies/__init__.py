@@ -3,7 +3,7 @@
 from candata.plugins import Registry
 from candata.policies._carrier import carrier
 from candata.policies._contract import Goal, Motion, Observation, Plan, Policy, Step, Variant
-from candata.policies._drive import position_servo_columns
+from candata.policies._drive import carriers, command_range, position_servo_columns
 from candata.policies._motion_file import MotionFile, command_limits, motion_plan, read_motions, write_motions
 from candata.policies._step import StepPolicy, opening_plan, read_step_policy
 
@@ -21,7 +21,9 @@ __all__ = [
     "StepPolicy",
     "Variant",
     "carrier",
+    "carriers",
     "command_limits",
+    "command_range",
     "motion_plan",
     "opening_plan",
     "policy",

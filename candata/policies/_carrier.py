@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +22,8 @@ UPRIGHT = 0.7
 LEAST_GAIN_M, LEAST_SHARE = 0.05, 0.99
 #: How far the hand may be off its path [m, rad]. Chosen: half the width of a finger, and what a grasp forgives.
 MOST_OFF_M, MOST_OFF_RAD = 0.010, np.deg2rad(5.0)
+#: Draws of a way along the support before the hand counts as unable to go any. Chosen.
+WAYS = 50
 #: Command noise (1 sd) by which one rail moves the hand [m], and all hinges together move and turn it [m, rad]. Chosen:
 #: the repeatability of a path of a light arm; the first is 0.4 % of a rail of 0.5 m.
 NOISE_M, NOISE_RAD = 0.002, 0.004
@@ -201,3 +204,56 @@ def _noise(chain: Chain, jacobian: Array) -> Array:
     by_joint = np.minimum(NOISE_M / np.maximum(moving, 1e-9), NOISE_RAD / np.maximum(turning, 1e-9))
     together = np.where(chain.slides, 1.0, np.sqrt(max(1, (~chain.slides).sum())))
     return by_joint / together * np.abs(chain.command_per_move)
+
+
+def can_follow(scene: Scene, path: Array) -> bool:
+    """Tell whether what carries the hand can follow a path `(T, 6)`."""
+    hand, limits = carrier(scene), d.command_range(scene)
+    try:
+        commands = hand.commands(hand.start, path)
+    except ReachError:
+        return False
+    return bool(((limits[:, 0] <= commands) & (commands <= limits[:, 1])).all())
+
+
+def reachable_way(
+    scene: Scene,
+    rng: np.random.Generator,
+    corners: Array,
+    direction: Callable[[], Array],
+    range_m: tuple[float, float],
+    verb: str,
+) -> Array:
+    """Return a way along the support `(3,)` [m]: the first draw that the hand can follow.
+
+    Parameters
+    ----------
+    scene : Scene
+    rng : numpy.random.Generator
+        Source of the distance.
+    corners : (T, 6) float64
+        Places of the hand that are moved by the way, see `Carrier.commands`.
+    direction : callable
+        Draws a direction `(3,)` of any length.
+    range_m : (float, float)
+        Least and greatest distance [m].
+    verb : str
+        What the hand does with the object, for the error.
+
+    Raises
+    ------
+    ReachError
+        When the hand can follow none of `WAYS` draws.
+    """
+    for _ in range(WAYS):
+        drawn = direction()
+        way = rng.uniform(*range_m) * drawn / np.linalg.norm(drawn)
+        if can_follow(scene, corners + np.concatenate([way, np.zeros(3)])):
+            return way
+    raise ReachError(
+        f"the hand cannot {verb} the object along its support",
+        expected=f"room for at least {1000 * range_m[0]:.0f} mm",
+        found=f"none in {WAYS} draws of a direction and a distance",
+        where=Where(path=scene.name),
+        fix="begin with the hand farther within its reach (keyframe `open`)",
+    )

@@ -105,13 +105,10 @@ def _length_range(scene: Scene, actuator: int) -> tuple[float, float] | None:
 
 
 def open_commands(scene: Scene) -> Array:
-    """Return the commands `(A,)` of the open hand: the keyframe `open`, or those that hold the model's own start.
-
-    A keyframe counts where there is one called `grasp` too.
-    """
+    """Return the commands `(A,)` of the open hand: the keyframe `open`, or those that hold the model's own start."""
     model, ids = scene.model, scene.actuator_ids
     keys = {model.key(k).name: k for k in range(model.nkey)}
-    if {"open", "grasp"} <= set(keys):
+    if "open" in keys:
         return np.array(model.key_ctrl[keys["open"]][ids])
     return np.clip(holding_commands(scene, model.actuator_length0[ids]), *command_range(scene).T)
 

@@ -45,7 +45,7 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     """
     if scene.object_id is None:
         return None
-    hand = hand_of(scene, d.holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids]))
+    hand = hand_of(scene, d.open_commands(scene))
     if hand is None:
         return None
     finger_columns, tips = hand.free, hand.tips
@@ -53,7 +53,7 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     if (distances < REACHED_M).sum() < min(2, len(tips)):
         return None
     low, high = d.useful_range(scene)[finger_columns].T
-    commands = d.holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids])
+    commands = d.open_commands(scene)
     commands[finger_columns] = np.clip(touch_commands + hand.press(touch_commands, distances), low, high)
     return tuple(commands.tolist())
 

@@ -105,16 +105,6 @@ def chosen_grasp(scene: Scene, rng: np.random.Generator) -> Grasp:
     return kept[int(rng.integers(len(kept)))]
 
 
-def can_follow(scene: Scene, path: Array) -> bool:
-    """Tell whether what carries the hand can follow a path `(T, 6)`."""
-    hand, limits = carrier(scene), d.command_range(scene)
-    try:
-        commands = hand.commands(hand.start, path)
-    except ReachError:
-        return False
-    return bool(((limits[:, 0] <= commands) & (commands <= limits[:, 1])).all())
-
-
 def object_pose(scene: Scene) -> Array:
     """Return the pose `(7,)` of the object in the model."""
     return np.array(scene.model.qpos0[scene.object_qpos : scene.object_qpos + 7])

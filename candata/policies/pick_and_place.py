@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from candata.errors import ReachError, Where
 from candata.policies import _grasps as g
 from candata.policies import _postures as p
-from candata.policies._carrier import carrier
+from candata.policies._carrier import carrier, reachable_way
 from candata.policies._contract import Array, Goal, Plan, Policy
 from candata.scenes import Scene
 
@@ -17,8 +16,6 @@ USUAL_S = 8.0
 CARRY_M, HEIGHT_M = (0.10, 0.25), (0.07, 0.12)
 #: Share of the episodes in which it is let drop from where it was carried.
 DROP_SHARE = 0.2
-#: Draws of a direction and a distance before the hand counts as unable to carry anything.
-DRAWS = 50
 #: Least height, and for how long at most, that counts as lifted [m, s].
 LIFT_M, HELD_S = 0.05, 1.0
 
@@ -50,18 +47,8 @@ def _displacement(scene: Scene, rng: np.random.Generator, grasp: g.Grasp, height
     hand = carrier(scene)
     corners = np.concatenate([grasp.way_in(np.array([1.0, 1.0, 0.0]))])
     corners[0] += p.along(hand.lift, np.array([height_m]))[0]
-    for _ in range(DRAWS):
-        direction = rng.standard_normal(len(hand.level)) @ hand.level
-        displacement = rng.uniform(*CARRY_M) * direction / np.linalg.norm(direction)
-        if g.can_follow(scene, corners + np.concatenate([displacement, np.zeros(3)])):
-            return displacement
-    raise ReachError(
-        "the hand cannot carry the object along its support",
-        expected=f"room for at least {1000 * CARRY_M[0]:.0f} mm",
-        found=f"none in {DRAWS} draws of a direction and a distance",
-        where=Where(path=scene.name),
-        fix="begin with the hand farther within its reach (keyframe `open`)",
-    )
+    direction = lambda: rng.standard_normal(len(hand.level)) @ hand.level  # noqa: E731
+    return reachable_way(scene, rng, corners, direction, CARRY_M, "carry")
 
 
 POLICY = Policy("grasp, carry along the support, put down or drop", g.can_carry, _plan, on_request=True)

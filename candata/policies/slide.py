@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from candata.errors import ReachError, Where
 from candata.policies import _grasps as g
 from candata.policies import _postures as p
-from candata.policies._carrier import carrier
+from candata.policies._carrier import carrier, reachable_way
 from candata.policies._contract import Array, Goal, Plan, Policy
 from candata.scenes import Scene
 
@@ -17,8 +16,6 @@ USUAL_S = 6.0
 PULL_M, PRESS_M = (0.10, 0.16), (0.002, 0.006)
 #: Grip while the pull begins, and by how much it is looser at its end. Chosen: it slips on the way.
 GRIP, LOOSER = (0.85, 1.0), (0.5, 0.8)
-#: Draws of a direction and a distance before the hand counts as unable to pull.
-DRAWS = 50
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -45,19 +42,12 @@ def _pull(scene: Scene, rng: np.random.Generator, grasp: g.Grasp) -> Array:
     """
     hand, ends = carrier(scene), grasp.way_in(np.array([1.0, 0.0]))
     out = grasp.approach @ hand.level.T @ hand.level
-    for _ in range(DRAWS):
+
+    def direction() -> Array:
         random = rng.standard_normal(len(hand.level)) @ hand.level
-        direction = out + 0.3 * random if np.linalg.norm(out) > 0.5 else random
-        pull = rng.uniform(*PULL_M) * direction / np.linalg.norm(direction)
-        if g.can_follow(scene, ends + np.concatenate([pull, np.zeros(3)])):
-            return pull
-    raise ReachError(
-        "the hand cannot pull the object along its support",
-        expected=f"room for at least {1000 * PULL_M[0]:.0f} mm",
-        found=f"none in {DRAWS} draws of a direction and a distance",
-        where=Where(path=scene.name),
-        fix="begin with the hand farther within its reach (keyframe `open`)",
-    )
+        return out + 0.3 * random if np.linalg.norm(out) > 0.5 else random
+
+    return reachable_way(scene, rng, ends, direction, PULL_M, "pull")
 
 
 POLICY = Policy("press on the support, pull along until it slips", g.can_carry, _plan, on_request=True)

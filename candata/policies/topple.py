@@ -13,7 +13,7 @@ from candata.errors import ReachError, Where
 from candata.policies import _clear as clear
 from candata.policies import _grasps as g
 from candata.policies import _postures as p
-from candata.policies._carrier import carrier
+from candata.policies._carrier import can_follow, carrier
 from candata.policies._contract import Array, Goal, Plan, Policy
 from candata.policies._trials import object_motion
 from candata.rotation import conjugate, rotate
@@ -80,7 +80,7 @@ def _strikes(key: g.SameScene) -> list[Strike]:
         When the hand cannot make any.
     """
     scene = key.scene
-    possible = [strike for strike in _candidates(scene) if g.can_follow(scene, strike.ends)]
+    possible = [strike for strike in _candidates(scene) if can_follow(scene, strike.ends)]
     if not possible:
         raise ReachError(
             "the hand cannot strike the object near its top",

@@ -72,6 +72,8 @@ def compose(
         spec = arm_part
     site = _site(spec, arm, at, path)
     arm_keys, hand_keys = _take_keyframes(spec, arm), _keyframes_of_fixed(hand_part, hand)
+    if isinstance(arm_part, Arm) and world is None:  # who brings a world adds its keyframes, with what else is in it
+        arm_keys = {"open": (np.array(arm_part.start), np.array(arm_part.start))}
     try:
         roots = _mount(spec, site, hand_part)
     except ValueError as error:

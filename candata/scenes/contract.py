@@ -27,12 +27,15 @@ class Arm:
         Joints from the base outwards; actuators bear the same names.
     flange : str
         Site that carries a hand; its +z leads out of the arm.
+    start : tuple of float
+        Joints [rad] of a posture from which the hand can be moved any way.
     """
 
     name: str
     add: Callable[[mujoco.MjSpec, mujoco.MjsBody, tuple[float, float, float], tuple[float, float, float, float]], None]
     joints: tuple[str, ...]
     flange: str
+    start: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import astuple, dataclass
 from pathlib import Path
+from typing import Unpack
 
 from candata.datasets import create_dataset, pending_parts, publish
 from candata.datasets.quarantine import read_quarantine
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
 from candata.scenes import Scene, load_scene
-from candata.schema.disturbance import Disturbances
-from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.schema.quarantine import QuarantinedEpisode
-from candata.schema.randomisation import RandomEffect
 from candata.simulate import seal as seals
 from candata.simulate.cluster import crew_of
 from candata.simulate.crew import Crew
@@ -31,7 +29,7 @@ from candata.simulate.jobs import (
     tool_versions,
 )
 from candata.simulate.pool import ChunkResult, EpisodeChunk, make_chunk, producer
-from candata.simulate.recipe import check_count, checked_objects, make_recipe, with_clouds
+from candata.simulate.recipe import SetOptions, check_count, checked_objects, make_recipe, with_clouds
 
 
 @dataclass(frozen=True)
@@ -59,17 +57,6 @@ def generate(
     episodes: int,
     seed: int,
     *,
-    objects: Sequence[str] = (),
-    effects: Sequence[EffectSetting] = (),
-    randomisation: Sequence[RandomEffect] = (),
-    disturbances: Disturbances | None = None,
-    policies: Sequence[str] = (),
-    policy_file: str | Path | None = None,
-    step_policy: str | None = None,
-    duration_s: float = 3.2,
-    noise: bool = True,
-    taxels: bool = False,
-    outcomes: Mapping[str, float] | None = None,
     withheld: Withheld | None = None,
     workers: int | None = None,
     ray: str | None = None,
@@ -78,6 +65,7 @@ def generate(
     progress: Callable[[int], None] = lambda _count: None,
     tally: Callable[[Mapping[str, int]], None] = lambda _counts: None,
     note: Callable[[str], None] = lambda _words: None,
+    **options: Unpack[SetOptions],
 ) -> VersionFile:
     """Return the version that holds the set; bit-identical for a seed whatever the number of workers.
 
@@ -93,30 +81,6 @@ def generate(
         Name of a scene, or path of a `scene.yaml`.
     episodes, seed : int
         How many, and the seed of all that is random in them.
-    objects : sequence of str
-        Objects that take turns in the place of the scene's own, each for one round of the motions: registered names, or
-        folders. An episode then names its object, and `labels` its scene's digest.
-    effects : sequence of EffectSetting
-        Effects of every episode.
-    randomisation : sequence of RandomEffect
-        Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
-    disturbances : Disturbances, optional
-        Noise on commands, and kicks, drawn for each episode; `meta.kicks` has those that it got.
-    policies : sequence of str
-        Motions, which take turns; the scene's own by default.
-    policy_file : str or Path, optional
-        Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
-    step_policy : str, optional
-        What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
-    duration_s : float
-        Length of an episode; what a policy file holds has its own.
-    noise : bool
-        Add the sensor noise that the scene declares.
-    taxels : bool
-        Add what the taxels of each fingertip count.
-    outcomes : mapping of str to float, optional
-        Shares of wanted outcomes, see `candata.simulate.wanted`: grip, aim and timing are drawn until an episode ends
-        as its turn wants. Then only policies with a goal play.
     withheld : Withheld, optional
         Draw an effect or several, apply them, and keep them out of the dataset.
     workers : int, optional
@@ -133,6 +97,8 @@ def generate(
         Called with how many episodes that this run made ended with each outcome so far.
     note : callable
         Called with words for people where a run that was stopped goes on.
+    **options
+        What the set is made with, see `candata.simulate.recipe.make_recipe`.
 
     Raises
     ------
@@ -148,22 +114,7 @@ def generate(
     check_count(episodes, seed, workers)
     chunks_asked = chunks(episodes, shard)
     model = load_scene(scene)
-    recipe = make_recipe(
-        scene,
-        model,
-        seed,
-        objects=objects,
-        effects=effects,
-        randomisation=randomisation,
-        disturbances=disturbances,
-        policies=policies,
-        policy_file=policy_file,
-        step_policy=step_policy,
-        duration_s=duration_s,
-        noise=noise,
-        taxels=taxels,
-        outcomes=outcomes,
-    )
+    recipe = make_recipe(scene, model, seed, **options)
     held_objects = checked_objects(recipe, model, episodes)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.policies._contract import Goal
+from candata.policies import Goal
 from candata.rotation import conjugate, multiply, rotate
 from candata.scenes import Scene
 from candata.scenes.clouds import surface_cloud

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.policies import Plan
-from candata.policies._drive import carriers, command_range
+from candata.policies import Plan, carriers, command_range
 from candata.scenes import Scene
 from candata.schema.outcome import FAIL, SUCCESS
 

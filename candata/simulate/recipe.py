@@ -39,7 +39,40 @@ def make_recipe(
     taxels: bool = False,
     outcomes: Mapping[str, float] | None = None,
 ) -> GenerationRecipe:
-    """Return the recipe of a set in a scene that is loaded as `model`; parameters are those of `generate`.
+    """Return the recipe of a set.
+
+    Parameters
+    ----------
+    scene : str
+        Name of a scene, or path of a `scene.yaml`.
+    model : Scene
+        The scene, loaded.
+    seed : int
+        Seed of all that is random in the set.
+    objects : sequence of str
+        Objects that take turns in the place of the scene's own, each for one round of the motions: registered names, or
+        folders. An episode then names its object, and `labels` its scene's digest.
+    effects : sequence of EffectSetting
+        Effects of every episode.
+    randomisation : sequence of RandomEffect
+        Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
+    disturbances : Disturbances, optional
+        Noise on commands, and kicks, drawn for each episode; `meta.kicks` has those that it got.
+    policies : sequence of str
+        Motions, which take turns; the scene's own by default.
+    policy_file : str or Path, optional
+        Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
+    step_policy : str, optional
+        What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
+    duration_s : float
+        Length of an episode; what a policy file holds has its own.
+    noise : bool
+        Add the sensor noise that the scene declares.
+    taxels : bool
+        Add what the taxels of each fingertip count.
+    outcomes : mapping of str to float, optional
+        Shares of wanted outcomes, see `candata.simulate.wanted`: grip, aim and timing are drawn until an episode ends
+        as its turn wants. Then only policies with a goal play.
 
     Raises
     ------

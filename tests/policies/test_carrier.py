@@ -15,6 +15,7 @@ from candata.policies._postures import along, blend, finish
 from candata.rotation import difference, exp
 from candata.scenes import load_scene
 from candata.scenes.assemble import assemble
+from candata.scenes.contract import ARMS
 from candata.scenes.library import xarm7_xhand
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.policies.unknown_hands import JAWS, JAWS_ROLES, write
@@ -92,7 +93,7 @@ def test_a_path_out_of_reach_is_refused_with_how_far_off_and_when(arm):
 
 def test_a_joint_at_the_end_of_its_range_is_named():
     spec = xarm7_xhand.build()
-    for number, start in enumerate(xarm7_xhand.START_RAD[:4], 1):
+    for number, start in enumerate(ARMS.load("xarm7").start[:4], 1):
         name = f"joint{number}"
         spec.joint(name).range = spec.actuator(name).ctrlrange = (start - 0.02, start + 0.02)
     scene = assemble("narrow", xarm7_xhand.SCENE.file, spec)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 import types
@@ -13,12 +14,13 @@ import pytest
 import yaml
 
 from candata.errors import CandataError, MissingExtraError, SceneError, UnknownNameError, UsageError
+from candata.policies import policy
 from candata.policies._carrier import carrier
 from candata.repair.mjcf import export_mjcf
 from candata.rotation import difference
 from candata.scenes import load_scene, tabletop
 from candata.scenes.composition import compose
-from candata.scenes.contract import ARMS
+from candata.scenes.contract import ARMS, HANDS
 from candata.schema.effect import EffectSetting
 
 ARM = """<mujoco model="post"><option timestep="0.005" integrator="implicitfast"/>
@@ -241,3 +243,15 @@ def test_a_model_of_mujoco_menagerie_is_one_of_its_files(folder, monkeypatch):
         assert scene.model.nu == 4
     with pytest.raises(CandataError, match="gives no model paw: Unknown robot 'paw'"):
         load_scene(written(folder, model={"arm": "arm.xml", "hand": "mujoco_menagerie:paw", "at": "end"}))
+
+
+def test_a_registered_arm_begins_where_its_hand_can_be_moved(tmp_path):
+    joints = [*ARMS.load("xarm7").joints, *HANDS.load("xhand").joints]
+    roles = {"rate_hz": 80.0, "joints": joints, "actuators": joints, "fingertips": list(HANDS.load("xhand").fingertips)}
+    text = json.dumps({"model": {"arm": "xarm7", "hand": "xhand"}, **roles})
+    (tmp_path / "scene.yaml").write_text(text)
+    scene = load_scene(tmp_path / "scene.yaml")
+    for seed in range(8):
+        policy("free_sweep").plan(
+            scene, np.random.default_rng(seed), 3.2
+        )  # an arm that begins stretched reaches 3 of 8

@@ -152,6 +152,9 @@ LINKS: tuple[Link, ...] = (
         corners=((0, 0, -0.034), (0, 0, -0.033)),
     ),
 )
+#: Posture of the joints [rad], elbow up, flange level. Inverse kinematics, first, third and fifth joint held: it
+#: puts the palm of `xarm7_xhand` where `xhand_tabletop` has it; a test compares.
+START_RAD = (0.0, 0.67435, 0.0, 0.98685, np.pi, 1.25829, np.pi / 2)
 
 
 def add(
@@ -229,4 +232,10 @@ def _add_capsules(
         )
 
 
-ARM = Arm(name="xarm7", add=add, joints=tuple(f"joint{n}" for n in range(1, len(LINKS) + 1)), flange=FLANGE)
+ARM = Arm(
+    name="xarm7",
+    add=add,
+    joints=tuple(f"joint{n}" for n in range(1, len(LINKS) + 1)),
+    flange=FLANGE,
+    start=START_RAD,
+)

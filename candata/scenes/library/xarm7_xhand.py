@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 
 from candata.scenes import tabletop
 from candata.scenes.composition import compose
@@ -13,12 +12,9 @@ from candata.schema.scene import SceneFile
 ARM, HAND = "xarm7", "xhand"
 #: The table reaches under the arm [m].
 TABLE_HALF_WIDTH_M = 0.65
-#: Where the arm's base stands on the table [m]. Of five places 5 cm apart, behind the palm, this one leaves the hand
+#: Where the arm's base stands on the table [m]. Chosen among five places behind the palm, 5 cm apart: the hand is
 #: farthest from a singular posture.
 BASE_M = (-0.5, 0.0, 0.0)
-#: Joints [rad] that put the palm where `xhand_tabletop` has it, elbow up and wrist above the table. Inverse kinematics
-#: with the first, third and fifth joint held; a test compares.
-START_RAD = (0.0, 0.67435, 0.0, 0.98685, np.pi, 1.25829, np.pi / 2)
 #: Sensor noise of the arm's encoders [rad], of which the maker says that the flange comes back within 0.1 mm.
 ARM_NOISE_RAD = 0.0002
 
@@ -27,7 +23,7 @@ def build() -> mujoco.MjSpec:
     """Return the scene: table, arm, hand with its palm towards +y, a can."""
     spec = compose(ARM, HAND, world=tabletop.table(TABLE_HALF_WIDTH_M), base_m=BASE_M)
     tabletop.add_can(spec)
-    tabletop.add_postures(spec, START_RAD)
+    tabletop.add_postures(spec, ARMS.load(ARM).start)
     return spec
 
 
