@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -111,8 +112,11 @@ def spawned_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     Where the block is left by Ctrl-C, what runs is stopped as well, and removes what it has half written.
     """
     earlier_processes = set(multiprocessing.active_children())
+    # The tracker lets Ctrl-C through while it begins, so it begins before Ctrl-C is held back.
+    resource_tracker.ensure_running()
     with _single_threads():
-        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
+        with _interrupts_held():  # an interrupt among the pool's semaphores would leave one of them in the system
+            pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
         try:
             yield pool
         except (KeyboardInterrupt, GeneratorExit):
@@ -131,11 +135,31 @@ def submit_tasks(
     A terminal sends it to every process. One that has just begun would answer with a traceback, before `_start` can
     tell it to ignore it; so it is held back, in this process only until all have begun.
     """
+    with _interrupts_held():
+        return [pool.submit(_run_task, work, task) for task in tasks]
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back inside the block, and let it come at its end; processes begun in it never hear it.
+
+    The mask is what those processes inherit. It does not hold back a signal that the system gives to another thread
+    of this process, which Python answers in the main thread all the same: so the answer waits as well.
+    """
+    came: list[int] = []
+    handler = signal.getsignal(signal.SIGINT)
+    answered_here = callable(handler) and threading.current_thread() is threading.main_thread()
+    if answered_here:
+        signal.signal(signal.SIGINT, lambda number, _frame: came.append(number))
     earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return [pool.submit(_run_task, work, task) for task in tasks]
+        yield
     finally:
+        if answered_here:
+            signal.signal(signal.SIGINT, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, earlier_mask)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _run_task(work: Callable[..., T], task: tuple[Any, ...]) -> T:
