@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,14 @@ class Loop:
 
     poses: NDArray
     contact: NDArray | None
+
+
+@runtime_checkable
+class FreeRunner(Protocol):
+    """A forecaster that goes on from its own state, and so needs no forecast after forecast."""
+
+    def free_run(self, course: Course) -> Loop:
+        """Return the closed loop of a course, without a look at what was recorded after its beginning."""
 
 
 def course(windows: Windows) -> Course:
@@ -147,7 +156,8 @@ def at_rows(windows: Windows, episodes: NDArray[np.int64], step: NDArray[np.int6
 def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:
     """Return the poses of a forecaster that sees its own poses, and contacts where it forecasts them.
 
-    Joints and actions are replayed from the recording, the planned ones too. The mean of the samples is executed.
+    Joints and actions are replayed from the recording, the planned ones too. The mean of the samples is executed. A
+    `FreeRunner` plays the whole course on its own.
 
     Parameters
     ----------
@@ -160,6 +170,8 @@ def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) 
     seed : int
         Seed of the noise.
     """
+    if isinstance(forecaster, FreeRunner):
+        return forecaster.free_run(course)
     history_rows, longest_steps = course.observed.shape[1], course.truth.shape[1]
     poses = np.concatenate([course.observed, np.zeros_like(course.truth)], axis=1)
     contact = None if course.contact is None else course.contact.astype(float)
