@@ -197,7 +197,8 @@ def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out
     for is_given, words in (
         (recipe.effects, "effects"),
         (recipe.randomisation, "a randomisation"),
-        (recipe.objects, "several objects"),
+        # Limits of a drawn effect may depend on the object; those of a file of distributions are written there.
+        (recipe.objects and isinstance(withheld.asked, str), "several objects"),
     ):
         if is_given:
             raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")

@@ -1,0 +1,247 @@
+"""The sets of an experiment: simulated ones, worlds that stand in for the real one, and parts of real sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from candata.datasets import Dataset, open_dataset
+from candata.datasets.filtering import chosen_dataset
+from candata.datasets.versions import DATASET
+from candata.datasets.writing import write_text
+from candata.effects import read_effects, read_randomisation
+from candata.errors import DataError, UsageError, Where
+from candata.experiment.config import Generation, SealedWorld
+from candata.gap.blind.cases import CASE, make_case
+from candata.gap.blind.draws import background
+from candata.gap.blind.outside import draw_outside
+from candata.loaders import find_split, make_split, save_split
+from candata.loaders.splits import DEFAULT
+from candata.repair.mjcf import export_mjcf
+from candata.scenes import load_scene
+from candata.schema.bench import Label, LabelsFile
+from candata.schema.effect import EffectSetting
+from candata.schema.json_text import parse_json, read_json
+from candata.schema.randomisation import RandomEffect
+from candata.schema.scene import Noise, SceneFile, Tracker
+from candata.schema.yaml_text import read_yaml
+from candata.simulate import open_seal
+from candata.simulate.generate import Withheld, generate
+from candata.simulate.recipe import SetOptions
+from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
+
+#: Shares of a set that is trained on: no part of it is for testing, which is done on real episodes.
+TRAINED_ON = {"train": 0.9, "val": 0.1}
+#: Name of the one label of a world with an outside cause, or with everything a little wrong.
+_CASE_NAME = "world"
+
+
+def set_options(generation: Generation, repair: tuple[EffectSetting, ...] = ()) -> SetOptions:
+    """Return what a set is made with; a repair is part of its simulator.
+
+    An effect that is drawn for each episode keeps its draw unless the repair says what it is.
+    """
+    given = read_effects(Path(generation.effects)).effects if generation.effects else ()
+    drawn = read_randomisation(Path(generation.randomise)) if generation.randomise else None
+    options: SetOptions = {
+        "objects": generation.objects,
+        "policies": generation.policies,
+        "policy_file": generation.policy_file,
+        "duration_s": generation.duration_s,
+        "noise": generation.noise,
+        "taxels": generation.taxels,
+        "outcomes": generation.outcomes,
+    }
+    if drawn is None:
+        return options | {"effects": (*given, *repair)}
+    repaired = {(setting.name, setting.element) for setting in repair}
+    kept = tuple(each for each in drawn.effects if (each.name, each.element) not in repaired)
+    fixed = tuple(RandomEffect(name=s.name, element=s.element, parameters={**s.parameters}) for s in repair)
+    return options | {"randomisation": (*fixed, *kept), "disturbances": drawn.disturbances}
+
+
+def make_simulated(
+    root: Path,
+    generation: Generation,
+    repair: tuple[EffectSetting, ...],
+    jobs: int,
+    ray: str | None,
+    progress: Callable[[int], None],
+) -> Dataset:
+    """Return a simulated set, gone on with where it stands in part, with a split for training.
+
+    Raises
+    ------
+    CandataError
+        As `candata.simulate.generate.generate`.
+    """
+    generate(
+        root,
+        generation.scene,
+        generation.episodes,
+        generation.seed,
+        workers=jobs,
+        ray=ray,
+        progress=progress,
+        **set_options(generation, repair),
+    )
+    return _with_split(open_dataset(root))
+
+
+def make_sealed(
+    folder: Path, world: SealedWorld, seal: Path, jobs: int, ray: str | None, progress: Callable[[int], None]
+) -> Dataset:
+    """Return the recordings of a world whose difference from the scene is sealed: those to train on come first.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the set goes, as `set`, with the scene of a tracker beside it.
+    world : SealedWorld
+        What differs.
+    seal : Path
+        The sealed file; made when missing, and used again for another set of the same world.
+    jobs, ray, progress
+        As for `candata.simulate.generate.generate`.
+
+    Raises
+    ------
+    CandataError
+        As `generate`; also when the seal is of another world.
+    """
+    root = folder / "set"
+    scene = world.scene if world.tracker is None else tracked_scene(folder / "scene", world.scene, world.tracker)
+    episodes = world.train + world.test
+    if world.hidden is None:
+        return _case(root, scene, world, seal, episodes)
+    withheld = Withheld(read_randomisation(Path(world.hidden)).effects, seal)
+    options: SetOptions = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
+    seal.parent.mkdir(parents=True, exist_ok=True)
+    generate(root, scene, episodes, world.seed, withheld=withheld, workers=jobs, ray=ray, progress=progress, **options)
+    return open_dataset(root)
+
+
+def tracked_scene(folder: Path, scene_name: str, tracker: Tracker) -> str:
+    """Return the file of a scene whose object is seen by a tracker: a copy of the scene in `folder`.
+
+    Raises
+    ------
+    SceneError
+        When the scene cannot be written.
+    """
+    file = folder / "scene.yaml"
+    base, plus, object_name = scene_name.partition("+")
+    if not (folder / "tracker.yaml").is_file():  # written last
+        if not file.is_file():
+            export_mjcf(load_scene(base), (), folder)
+        roles = SceneFile.parse(read_yaml(file), file)
+        noise = (roles.noise or Noise()).model_copy(update={"tracker": tracker})
+        text = yaml.safe_dump(roles.model_copy(update={"noise": noise}).model_dump(mode="json"), sort_keys=False)
+        write_text(file, text, "scene")
+        write_text(folder / "tracker.yaml", yaml.safe_dump(tracker.model_dump(mode="json")), "scene")
+    return f"{file.resolve()}{plus}{object_name}"
+
+
+def _case(root: Path, scene_name: str, world: SealedWorld, seal: Path, episodes: int) -> Dataset:
+    """Return recordings of a world with an outside cause, or in which everything is a little wrong."""
+    asked: dict[str, str | int | float] = {"cause": world.outside or "all_wrong", "seed": world.seed}
+    if not seal.exists():
+        salt, scene = new_salt(), load_scene(scene_name)
+        rng = np.random.default_rng(secret_number(world.seed, salt, "experiment"))
+        if world.outside is not None:
+            label = Label(case=_CASE_NAME, kind="outside", outside=draw_outside(world.outside, scene, rng))
+        else:
+            label = Label(case=_CASE_NAME, kind="background", effects=background(scene, rng, ""))
+        label = label.model_copy(update={"seed": int(rng.integers(2**62))})
+        seal.parent.mkdir(parents=True, exist_ok=True)
+        write_once(seal, LabelsFile(salt=salt, asked=asked, labels={_CASE_NAME: canonical(label)}))
+    labels = LabelsFile.parse(read_json(seal), seal)
+    if labels.asked != asked:
+        raise UsageError(
+            "the seal is of another world",
+            expected=str(asked),
+            found=str(labels.asked),
+            where=Where(path=str(seal)),
+            fix="give the world another name, or choose another --out",
+        )
+    text = labels.labels[_CASE_NAME]
+    if not (root / CASE).exists():
+        make_case(str(root), scene_name, text, commitment(text, labels.salt), world.seed, episodes, world.duration_s)
+    return open_dataset(root)
+
+
+def opened_effects(seal: Path, dataset: Dataset) -> tuple[EffectSetting, ...] | None:
+    """Return the effects that were sealed; None where what differs is no effect of the library.
+
+    Raises
+    ------
+    CandataError
+        When the seal is missing, damaged, or of another set.
+    """
+    value = read_json(seal)
+    if not isinstance(value, dict) or "labels" not in value:
+        return open_seal(seal, dataset)
+    labels = LabelsFile.parse(value, seal)
+    text = labels.labels[_CASE_NAME]
+    if commitment(text, labels.salt) not in {step.sealed for step in dataset.lineage}:
+        raise DataError("the seal does not fit the dataset", where=Where(path=str(seal)))
+    label = Label.parse(parse_json(text), seal)
+    return None if label.outside is not None else label.effects
+
+
+def make_part(root: Path, dataset: Dataset, settings: dict[str, Any]) -> Dataset:
+    """Return the test part of a real set, or so many of its training episodes, as a dataset of its own.
+
+    Parameters
+    ----------
+    root : Path
+        Where it goes; what stands there is whole.
+    dataset : Dataset
+        The real set.
+    settings : dict
+        `part` (`test`, `train-all`, `train-30`); `train`, how many come first of a set that was made for this, or
+        `split`, the name of a stored split (null: the default one).
+
+    Raises
+    ------
+    DataError
+        When there are fewer training episodes than are asked for, or none are left.
+    """
+    if not (root / DATASET).exists():
+        chosen_dataset(dataset, _part_ids(dataset, settings), root, {"part": settings["part"]})
+    part = open_dataset(root)
+    return part if settings["part"] == "test" else _with_split(part)
+
+
+def _part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:
+    """Return the ids of a part, training episodes in the order of their ids."""
+    if "train" in settings:
+        ids = sorted(dataset.ids)
+        train, test = ids[: settings["train"]], ids[settings["train"] :]
+    else:
+        split = find_split(dataset, settings["split"])
+        train, test = sorted((*split.train, *split.val)), sorted(split.test)
+    word = str(settings["part"]).removeprefix("train-")
+    if word == "test":
+        return test
+    count = len(train) if word == "all" else int(word)
+    if count > len(train):
+        raise DataError(
+            "too few real training episodes",
+            expected=f"{count}, as real_counts says",
+            found=str(len(train)),
+            where=Where(path=str(dataset.path)),
+            fix="record more, or ask for fewer",
+        )
+    return train[:count]
+
+
+def _with_split(dataset: Dataset) -> Dataset:
+    """Return the dataset, with a split that trains on nearly all of it."""
+    shares = TRAINED_ON if len(dataset) > 1 else {"train": 1.0}
+    save_split(dataset, make_split(dataset, shares), DEFAULT)
+    return dataset
