@@ -13,15 +13,19 @@ from candata.gap.blind.outside import CAUSES
 from candata.models import MODELS
 from candata.scenes.object_folder import listed_objects
 from candata.schema.record import Record
-from candata.schema.scene import Tracker
 from candata.schema.yaml_text import read_yaml
 
 Regime = Literal["sim", "real", "real-finetune"]
 Origin = Literal["nominal", "repaired"]
 SimulatedRow = Literal["stays", "keeps_velocity", "simulator", "repaired simulator"]
 Count = Annotated[int, Field(ge=1)]
-#: Fewest steps of a training run, and episodes of a set, whatever the scale. Chosen: fewer train nothing.
-LEAST_STEPS, LEAST_EPISODES = 20, 12
+#: Fewest steps of a training run, and episodes of a simulated set and of each part of a real one, whatever the scale.
+#: Chosen: fewer train nothing; real episodes are few anyway, and 30 test episodes are the fewest with intervals.
+LEAST_STEPS, LEAST_EPISODES, LEAST_REAL = 20, 12, 30
+
+
+#: Fields of a set that name files.
+FILES = ("effects", "randomise", "policy_file", "hidden", "noise_from")
 
 
 def _as_list(value: Any) -> Any:
@@ -35,7 +39,7 @@ Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
 class Generation(Record):
     """A set to simulate: the options of `candata generate-sim`, as a recipe holds them.
 
-    `objects` may be a file that lists them; `effects` and `randomise` are files.
+    `objects` may be a file that lists them; `effects`, `randomise` and `noise_from` are files.
     """
 
     scene: str
@@ -48,6 +52,7 @@ class Generation(Record):
     policy_file: str | None = None
     duration_s: float = Field(default=3.2, gt=0)
     noise: bool = True
+    noise_from: str | None = None
     taxels: bool = False
     outcomes: dict[str, float] | None = None
 
@@ -57,7 +62,7 @@ class SealedWorld(Record):
 
     One of `hidden` (a file as for `--randomise`, of which one draw acts in all episodes), `outside` (a cause that no
     effect of the library is) and `all_wrong` (every parameter about 5 % off). Worlds of one name share their draw.
-    `train` and `test` count episodes; `tracker` reports the object's pose, on top of the scene's noise.
+    `train` and `test` count episodes; `noise_from` is a file of sensor noise, such as a slow tracker's.
     """
 
     scene: str
@@ -69,7 +74,7 @@ class SealedWorld(Record):
     policies: Words = ()
     duration_s: float = Field(default=3.2, gt=0)
     seed: int = Field(default=1000, ge=0)
-    tracker: Tracker | None = None
+    noise_from: str | None = None
     train: Count
     test: Count
 
@@ -217,7 +222,7 @@ def read_experiment(path: Path, scale: float = 1.0) -> ExperimentFile:
     path : Path
         YAML file.
     scale : float
-        Factor on episodes, steps and numbers of real episodes, above 0 and at most 1.
+        Factor on episodes and steps, above 0 and at most 1. Numbers of real episodes become at most those that are left.
 
     Raises
     ------
@@ -229,7 +234,19 @@ def read_experiment(path: Path, scale: float = 1.0) -> ExperimentFile:
     file = ExperimentFile.parse(read_yaml(path, "the experiment"), path)
     file = file.model_copy(update={"data": {name: _located(each, path.parent) for name, each in file.data.items()}})
     _check_names(file, path)
-    return _scaled(file, scale) if scale < 1 else file
+    file = _scaled(file, scale) if scale < 1 else file
+    most = min((world.train for source in file.data.values() if (world := source.sealed)), default=None)
+    if most is None:
+        return file
+    if scale == 1 and max(file.real_counts, default=0) > most:
+        raise UsageError(
+            "real_counts asks for more real training episodes than a world has",
+            expected=f"at most {most}",
+            found=str(max(file.real_counts)),
+            where=Where(path=str(path)),
+            fix="raise `train` of the sealed worlds",
+        )
+    return file.model_copy(update={"real_counts": tuple(dict.fromkeys(min(n, most) for n in file.real_counts))})
 
 
 def _located(source: Source, folder: Path) -> Source:
@@ -248,7 +265,7 @@ def _located(source: Source, folder: Path) -> Source:
 def _with_paths(record: Any, folder: Path) -> Any:
     """Return a set's record with absolute paths, and a file of objects replaced by what it lists."""
     changes: dict[str, Any] = {"scene": _scene_beside(record.scene, folder)}
-    for name in ("effects", "randomise", "policy_file", "hidden"):
+    for name in FILES:
         if getattr(record, name, None) is not None:
             changes[name] = _beside(getattr(record, name), folder)
     if len(record.objects) == 1 and record.objects[0].endswith((".yaml", ".yml")):
@@ -327,7 +344,7 @@ def _scaled(file: ExperimentFile, scale: float) -> ExperimentFile:
             count = fewer(source.generate.episodes, LEAST_EPISODES)
             return Source(generate=source.generate.model_copy(update={"episodes": count}))
         if source.sealed is not None:
-            counts = {name: fewer(getattr(source.sealed, name), LEAST_EPISODES) for name in ("train", "test")}
+            counts = {name: fewer(getattr(source.sealed, name), LEAST_REAL) for name in ("train", "test")}
             return Source(sealed=source.sealed.model_copy(update=counts))
         return source
 
@@ -339,6 +356,5 @@ def _scaled(file: ExperimentFile, scale: float) -> ExperimentFile:
         update={
             "data": {name: smaller(source) for name, source in file.data.items()},
             "models": {name: shorter(entry) for name, entry in file.models.items()},
-            "real_counts": tuple(dict.fromkeys(count and fewer(count, 1) for count in file.real_counts)),
         }
     )

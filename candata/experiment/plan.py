@@ -11,7 +11,7 @@ from candata.datasets import Dataset, open_dataset
 from candata.datasets.registry import resolve
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.experiment.cells import Cell, content_digest
-from candata.experiment.config import Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
+from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
 from candata.loaders.layout import row_shapes
 from candata.models import Model
 from candata.models import model as find_model
@@ -352,7 +352,7 @@ def _portable(record: Generation | SealedWorld) -> dict[str, Any]:
     """Return the settings of a set without the places of its files, and the digests of what these hold."""
     settings = record.model_dump(mode="json")
     digests = {}
-    for name in ("effects", "randomise", "policy_file", "hidden"):
+    for name in FILES:
         if settings.get(name) is not None:
             digests[name] = content_digest(settings.pop(name))
     parts = [*record.scene.split(OBJECT_MARK), *record.objects]

@@ -3,34 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from candata.datasets import Dataset, open_dataset
+from candata.datasets import Dataset, append, open_dataset, put_cloud
+from candata.datasets.deriving import new_dataset
 from candata.datasets.filtering import chosen_dataset
 from candata.datasets.versions import DATASET
-from candata.datasets.writing import write_text
 from candata.effects import read_effects, read_randomisation
 from candata.errors import DataError, UsageError, Where
 from candata.experiment.config import Generation, SealedWorld
-from candata.gap.blind.cases import CASE, make_case
+from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.draws import background
 from candata.gap.blind.outside import draw_outside
 from candata.loaders import find_split, make_split, save_split
 from candata.loaders.splits import DEFAULT
-from candata.repair.mjcf import export_mjcf
-from candata.scenes import load_scene
+from candata.scenes import Scene, load_scene
+from candata.scenes.clouds import surface_cloud
 from candata.schema.bench import Label, LabelsFile
 from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json, read_json
+from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
-from candata.schema.scene import Noise, SceneFile, Tracker
+from candata.schema.scene import Noise
 from candata.schema.yaml_text import read_yaml
 from candata.simulate import open_seal
+from candata.simulate.episodes import EpisodeJob
 from candata.simulate.generate import Withheld, generate
+from candata.simulate.jobs import possible_policies
 from candata.simulate.recipe import SetOptions
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
@@ -52,7 +55,7 @@ def set_options(generation: Generation, repair: tuple[EffectSetting, ...] = ()) 
         "policies": generation.policies,
         "policy_file": generation.policy_file,
         "duration_s": generation.duration_s,
-        "noise": generation.noise,
+        "noise": _noise(generation.noise_from) or generation.noise,
         "taxels": generation.taxels,
         "outcomes": generation.outcomes,
     }
@@ -61,7 +64,14 @@ def set_options(generation: Generation, repair: tuple[EffectSetting, ...] = ()) 
     repaired = {(setting.name, setting.element) for setting in repair}
     kept = tuple(each for each in drawn.effects if (each.name, each.element) not in repaired)
     fixed = tuple(RandomEffect(name=s.name, element=s.element, parameters={**s.parameters}) for s in repair)
-    return options | {"randomisation": (*fixed, *kept), "disturbances": drawn.disturbances}
+    if fixed and drawn.together is not None:
+        raise UsageError(
+            "a repair acts always, and the randomisation says how many effects act together",
+            where=Where(path=str(generation.randomise)),
+            fix="give shares to its effects instead of `together`",
+        )
+    drawn_options: SetOptions = {"disturbances": drawn.disturbances, "together": drawn.together}
+    return options | drawn_options | {"randomisation": (*fixed, *kept)}
 
 
 def make_simulated(
@@ -93,14 +103,14 @@ def make_simulated(
 
 
 def make_sealed(
-    folder: Path, world: SealedWorld, seal: Path, jobs: int, ray: str | None, progress: Callable[[int], None]
+    root: Path, world: SealedWorld, seal: Path, jobs: int, ray: str | None, progress: Callable[[int], None]
 ) -> Dataset:
     """Return the recordings of a world whose difference from the scene is sealed: those to train on come first.
 
     Parameters
     ----------
-    folder : Path
-        Where the set goes, as `set`, with the scene of a tracker beside it.
+    root : Path
+        Where the set goes.
     world : SealedWorld
         What differs.
     seal : Path
@@ -113,51 +123,32 @@ def make_sealed(
     CandataError
         As `generate`; also when the seal is of another world.
     """
-    root = folder / "set"
-    scene = world.scene if world.tracker is None else tracked_scene(folder / "scene", world.scene, world.tracker)
+    scene, noise = load_scene(world.scene), _noise(world.noise_from)
     episodes = world.train + world.test
-    if world.hidden is None:
-        return _case(root, scene, world, seal, episodes)
-    withheld = Withheld(read_randomisation(Path(world.hidden)).effects, seal)
-    options: SetOptions = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
     seal.parent.mkdir(parents=True, exist_ok=True)
-    generate(root, scene, episodes, world.seed, withheld=withheld, workers=jobs, ray=ray, progress=progress, **options)
+    if world.hidden is None:
+        sensed = scene if noise is None else replace(scene, file=scene.file.model_copy(update={"noise": noise}))
+        return _case(root, sensed, world, seal, episodes)
+    withheld = Withheld(read_randomisation(Path(world.hidden)), seal)
+    options: SetOptions = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
+    options |= {"noise": noise or True}
+    generate(
+        root, world.scene, episodes, world.seed, withheld=withheld, workers=jobs, ray=ray, progress=progress, **options
+    )
     return open_dataset(root)
 
 
-def tracked_scene(folder: Path, scene_name: str, tracker: Tracker) -> str:
-    """Return the file of a scene whose object is seen by a tracker: a copy of the scene in `folder`.
-
-    Raises
-    ------
-    SceneError
-        When the scene cannot be written.
-    """
-    file = folder / "scene.yaml"
-    base, plus, object_name = scene_name.partition("+")
-    if not (folder / "tracker.yaml").is_file():  # written last
-        if not file.is_file():
-            export_mjcf(load_scene(base), (), folder)
-        roles = SceneFile.parse(read_yaml(file), file)
-        noise = (roles.noise or Noise()).model_copy(update={"tracker": tracker})
-        text = yaml.safe_dump(roles.model_copy(update={"noise": noise}).model_dump(mode="json"), sort_keys=False)
-        write_text(file, text, "scene")
-        write_text(folder / "tracker.yaml", yaml.safe_dump(tracker.model_dump(mode="json")), "scene")
-    return f"{file.resolve()}{plus}{object_name}"
+def _noise(path: str | None) -> Noise | None:
+    """Return the sensor noise of a file; None without one."""
+    return None if path is None else Noise.parse(read_yaml(Path(path), "the noise file"), path)
 
 
-def _case(root: Path, scene_name: str, world: SealedWorld, seal: Path, episodes: int) -> Dataset:
-    """Return recordings of a world with an outside cause, or in which everything is a little wrong."""
+def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, episodes: int) -> Dataset:
+    """Return recordings of a world with an outside cause, or in which everything is a little wrong; made at once."""
     asked: dict[str, str | int | float] = {"cause": world.outside or "all_wrong", "seed": world.seed}
     if not seal.exists():
-        salt, scene = new_salt(), load_scene(scene_name)
-        rng = np.random.default_rng(secret_number(world.seed, salt, "experiment"))
-        if world.outside is not None:
-            label = Label(case=_CASE_NAME, kind="outside", outside=draw_outside(world.outside, scene, rng))
-        else:
-            label = Label(case=_CASE_NAME, kind="background", effects=background(scene, rng, ""))
-        label = label.model_copy(update={"seed": int(rng.integers(2**62))})
-        seal.parent.mkdir(parents=True, exist_ok=True)
+        salt = new_salt()
+        label = _drawn_label(scene, world, np.random.default_rng(secret_number(world.seed, salt, "experiment")))
         write_once(seal, LabelsFile(salt=salt, asked=asked, labels={_CASE_NAME: canonical(label)}))
     labels = LabelsFile.parse(read_json(seal), seal)
     if labels.asked != asked:
@@ -168,10 +159,36 @@ def _case(root: Path, scene_name: str, world: SealedWorld, seal: Path, episodes:
             where=Where(path=str(seal)),
             fix="give the world another name, or choose another --out",
         )
-    text = labels.labels[_CASE_NAME]
-    if not (root / CASE).exists():
-        make_case(str(root), scene_name, text, commitment(text, labels.salt), world.seed, episodes, world.duration_s)
+    if not (root / DATASET).exists():
+        text = labels.labels[_CASE_NAME]
+        label, policies = Label.parse(parse_json(text), seal), possible_policies(scene)
+        with new_dataset(root) as draft:
+            cloud = put_cloud(draft, surface_cloud(scene))
+            plans = [
+                EpisodeJob(
+                    id=f"withheld-{i:06d}",
+                    index=i,
+                    policy=policies[i % len(policies)],
+                    seed=world.seed,
+                    effects=label.effects,
+                    hidden=True,
+                    point_cloud=cloud,
+                    noise_seed=label.seed,
+                )
+                for i in range(episodes)
+            ]
+            made = hidden_world(scene, label, plans, world.duration_s)
+            append(draft, made, Lineage(operation="sealed world", sealed=commitment(text, labels.salt)))
     return open_dataset(root)
+
+
+def _drawn_label(scene: Scene, world: SealedWorld, rng: np.random.Generator) -> Label:
+    """Return the truth of a world with an outside cause, or in which everything is a little wrong."""
+    if world.outside is not None:
+        label = Label(case=_CASE_NAME, kind="outside", outside=draw_outside(world.outside, scene, rng))
+    else:
+        label = Label(case=_CASE_NAME, kind="background", effects=background(scene, rng, ""))
+    return label.model_copy(update={"seed": int(rng.integers(2**62))})
 
 
 def opened_effects(seal: Path, dataset: Dataset) -> tuple[EffectSetting, ...] | None:

@@ -159,7 +159,7 @@ def _make_data(cell: Cell, folder: Path, inputs: Mapping[str, Path], bench: Benc
     if "seal" in cell.places:
         world = SealedWorld.model_validate(record)
         seal = bench.out / SEALS / f"{cell.places['seal']}.json"
-        dataset = sources.make_sealed(folder, world, seal, bench.jobs, bench.ray, progress)
+        dataset = sources.make_sealed(folder / SETS, world, seal, bench.jobs, bench.ray, progress)
     else:
         generation = Generation.model_validate(record)
         repair = _repair(inputs)
