@@ -222,7 +222,7 @@ def read_experiment(path: Path, scale: float = 1.0) -> ExperimentFile:
     path : Path
         YAML file.
     scale : float
-        Factor on episodes and steps, above 0 and at most 1. Numbers of real episodes become at most those that are left.
+        Factor on episodes and steps, above 0 and at most 1; numbers of real episodes become at most those left.
 
     Raises
     ------
