@@ -21,9 +21,7 @@ LABELS = ("object", "task", "outcome")
 NOT_STATED = "not stated"
 
 
-def breakdown(
-    dataset: Dataset, course: Course, errors: Mapping[str, LoopErrors]
-) -> dict[str, dict[str, Group]]:
+def breakdown(dataset: Dataset, course: Course, errors: Mapping[str, LoopErrors]) -> dict[str, dict[str, Group]]:
     """Return the scores by kind and label; a kind that no episode states is left out.
 
     Contact phases are those of `candata.schema.phases`, of the recorded contact at the recording's own rate.

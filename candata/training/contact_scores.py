@@ -58,7 +58,11 @@ def event_timing(
     recorded = _events(truth, present, valid, is_onset)
     answered = _events(forecast >= CONTACT_THRESHOLD, present, valid, is_onset)
     limit = round(ANSWER_S * rate_hz)
-    lags = [lag for pair in zip(recorded, answered, strict=True) for lag in _lags(*map(np.flatnonzero, pair), limit)]
+    lags = [
+        lag
+        for events, answers in zip(recorded, answered, strict=True)
+        for lag in _lags(np.flatnonzero(events), np.flatnonzero(answers), limit)
+    ]
     q25_s, median_s, q75_s = (np.quantile(lags, (0.25, 0.5, 0.75)) / rate_hz).tolist() if lags else (None, None, None)
     return EventTiming(
         recorded=int(recorded.sum()),

@@ -17,13 +17,12 @@ from candata.schema.effect import EffectSetting
 from candata.training import evaluated_runs, feed, jobs
 from candata.training.data import channels_for
 from candata.training.evaluated_runs import EvaluatedRun
-from candata.training.forecasters import BASELINES, Forecaster, TrainedModel
-from candata.training.results import Evaluation, ModelFacts, Scores, SimulatorFacts, Track
+from candata.training.forecasters import BASELINES, TrainedModel
+from candata.training.results import REPAIRED, SIMULATOR, Evaluation, ModelFacts, Scores, SimulatorFacts, Track
 from candata.training.scoring import Entrant, EvaluationFindings, chosen_windows, score
 from candata.training.servo_lag import ServoLags, fit_servo_lags
+from candata.training.simulator import Simulator, simulator
 
-#: Rows of the simulators.
-SIMULATOR, REPAIRED = "simulator", "repaired simulator"
 #: What a score or a simulator reads of the recordings where they hold it, whatever the models read.
 READ_WHERE_RECORDED = ("joint_position", "action", "contact")
 JointsFrom = Literal["recorded", "servo"]
@@ -79,7 +78,7 @@ class EvaluationSettings:
 class _Simulators:
     """The simulators' rows: how each forecasts, what it is, and why one is left out."""
 
-    forecasters: Mapping[str, Forecaster]
+    forecasters: Mapping[str, Simulator]
     facts: Mapping[str, SimulatorFacts]
     notes: tuple[str, ...] = ()
 
@@ -153,12 +152,14 @@ def evaluate(
         notes=simulators.notes,
         forecasters={
             name: Scores(
-                summary=entrant.forecaster.summary, windows=findings.windows[name], closed_loop=findings.closed_loop[name]
+                summary=entrant.forecaster.summary,
+                windows=findings.windows[name],
+                closed_loop=findings.closed_loop[name],
             )
             for name, entrant in entrants.items()
         },
         revision=__version__,
-    ), findings.tracks
+    ), tuple(_with_scene(track, held_out, simulators.forecasters.get(SIMULATOR)) for track in findings.tracks)
 
 
 def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> None:
@@ -171,7 +172,7 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
             raise UnknownNameError(kind, word, words)
     if settings.simulator is False and (settings.scene or settings.effects is not None):
         raise UsageError("a scene or effects, and no simulator", fix="leave --no-simulator out")
-    ranges = [("samples", settings.samples, None), ("steps", settings.steps, None)]
+    ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
     ranges += [("steps", settings.steps, each.run.config.get("train_steps")) for each in evaluated]
     ranges += [("execute", each.execute, each.run.sizes["horizon"]) for each in evaluated]
     for name, value, maximum in ranges:
@@ -187,7 +188,7 @@ def _windows(dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], 
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    sizes = [each.run.sizes for each in evaluated] or [dict(jobs.DEFAULT_SHAPE)]
+    sizes: list[Mapping[str, float]] = [each.run.sizes for each in evaluated] or [jobs.DEFAULT_SHAPE]
     options: dict[str, Any] = {
         "history": int(max(size["history"] for size in sizes)),
         "horizon": int(max(size["horizon"] for size in sizes)),
@@ -229,8 +230,6 @@ def _simulators(held_out: Windows, settings: EvaluationSettings) -> _Simulators:
     """
     if settings.simulator is False:
         return _Simulators({}, {})
-    from candata.training.simulator import simulator
-
     rows = {SIMULATOR: ()} | ({} if settings.effects is None else {REPAIRED: settings.effects})
     required = settings.simulator or settings.scene is not None or settings.effects is not None
     try:
@@ -244,6 +243,14 @@ def _simulators(held_out: Windows, settings: EvaluationSettings) -> _Simulators:
         return _Simulators({}, {}, (f"no simulator beside them: {error.problem}",))
     facts = {name: SimulatorFacts(scene=settings.scene, effects=effects) for name, effects in rows.items()}
     return _Simulators(forecasters, facts)
+
+
+def _with_scene(track: Track, held_out: Windows, nominal: Simulator | None) -> Track:
+    """Return the track with the scene that is simulated of its episode."""
+    if nominal is None:
+        return track
+    number = int(nominal.scenes.number[held_out.episode_ids.index(track.id)])
+    return replace(track, scene=list(nominal.scenes.scenes.values())[number])
 
 
 def _joints_from(held_out: Windows, servo_lags: ServoLags | None) -> str:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
 
+if TYPE_CHECKING:
+    from candata.scenes import Scene
+
 Interval = tuple[float, float]
+#: Rows of the simulators: nominal, and with the effects of a repair.
+SIMULATOR, REPAIRED = "simulator", "repaired simulator"
 
 
 class Contact(ResultRecord):
@@ -311,10 +318,10 @@ class Evaluation(ResultRecord):
     joints_from: str = "recorded"
     actions_from: str = "recorded"
     models: dict[str, ModelFacts]
-    simulators: dict[str, SimulatorFacts] = {}
+    simulators: dict[str, SimulatorFacts] = Field(default_factory=dict)
     forecasters: dict[str, Scores]
     pairs: tuple[Pair, ...]
-    breakdown: dict[str, dict[str, Group]] = {}
+    breakdown: dict[str, dict[str, Group]] = Field(default_factory=dict)
     by_episode: tuple[EpisodeScores, ...]
     notes: tuple[str, ...] = ()
     revision: str
@@ -349,6 +356,8 @@ class Track:
         Probability of contact by the forecasters that say it; NaN at the first row.
     sampled : dict of str to (M, T, 7)
         Closed loops that each followed one sample of a model, by model; a few episodes have them.
+    scene : Scene or None
+        What the simulators simulate of it, without the effects; None without a simulator.
     """
 
     id: str
@@ -358,3 +367,4 @@ class Track:
     contact: NDArray[np.bool_] | None
     forecast_contact: dict[str, NDArray]
     sampled: dict[str, NDArray] = field(default_factory=dict)
+    scene: Scene | None = None
