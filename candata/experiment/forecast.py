@@ -167,7 +167,7 @@ def _trial(settings: Mapping[str, Any], dataset: Dataset, folder: Path) -> tuple
     rates: list[float] = []
     train(prepare(dataset, request, short), folder, lambda report: rates.append(report.windows_per_s))
     begin_s = time.perf_counter()
-    evaluation, _ = evaluate(folder, dataset, EvaluationSettings(group="all", samples=1, steps=1))
+    evaluation, _ = evaluate([folder], dataset, EvaluationSettings(group="all", samples=1, steps=1, simulator=False))
     episode_s = (time.perf_counter() - begin_s) / evaluation.episodes
     return settings["batch"] / rates[-1], episode_s, 2.0 * (folder / LAST_FILE).stat().st_size
 

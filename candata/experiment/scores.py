@@ -31,7 +31,7 @@ class RowScores:
     Attributes
     ----------
     adds_auc, success, mse : (S, E) float64
-        By seed and episode; NaN where there is none. `mse` may be (S, 1): a mean over all episodes.
+        By seed and episode; NaN where there is none.
     position_error_m, rotation_error_rad : float
         Closed-loop means over all rows and seeds.
     """
@@ -53,15 +53,10 @@ def row_scores(evaluations: Sequence[Evaluation], names: Sequence[str]) -> RowSc
         adds_auc=np.array([[e.adds_auc.get(name, np.nan) for e in episodes] for episodes, name in pairs]),
         success=np.array([[e.final_position_error_m[name] <= SUCCESS_M for e in episodes] for episodes, name in pairs])
         * 1.0,
-        mse=np.array([[_mse(scores.windows)] for scores in forecasters]),
+        mse=np.array([[e.increment_mse.get(name, np.nan) for e in episodes] for episodes, name in pairs]),
         position_error_m=float(np.mean([loop.position_error_m for loop in loops])),
         rotation_error_rad=float(np.mean([loop.rotation_error_rad for loop in loops])),
     )
-
-
-def _mse(windows: object) -> float:
-    """Return the mean squared error of the pose increments."""
-    return float(getattr(windows, "increment_mse", None) or np.nan)
 
 
 class Resampling:
@@ -78,8 +73,8 @@ class Resampling:
         return self.episodes >= LEAST_EPISODES
 
     def means(self, scores: Array) -> Array:
-        """Return `(DRAWS,)` means of scores `(S, E)` or `(S, 1)` over resampled episodes and seeds."""
-        by_draw = scores[:, self.picks].mean(-1) if scores.shape[1] > 1 else np.repeat(scores, DRAWS, 1)
+        """Return `(DRAWS,)` means of scores `(S, E)` over resampled episodes and seeds."""
+        by_draw = scores[:, self.picks].mean(-1)
         seeds = resamples(np.random.default_rng([self.rng_seed, len(scores)]), len(scores), DRAWS)
         return np.asarray(by_draw[seeds, np.arange(DRAWS)[:, None]].mean(1))
 

@@ -15,9 +15,8 @@ from candata.experiment.scores import LEAST_EPISODES, Resampling, RowScores, exc
 from candata.experiment.work import EVALUATION
 from candata.gap.verdict import EXPLAINED
 from candata.schema.json_text import parse_json
-from candata.training.results import Evaluation
+from candata.training.results import REPAIRED, SIMULATOR, Evaluation
 
-NOMINAL, REPAIRED = "simulator", "repaired simulator"
 #: Regimes from the one that a first line speaks of rather to the last.
 _PREFERRED = ("real-finetune", "real", "sim")
 
@@ -113,7 +112,7 @@ def _untrained_rows(entry: Entry, outcome: Outcome, rows: Sequence[str]) -> list
         row = Row(column=entry.column, label="simulators and baselines", real_count=entry.count)
         return [_Scored(row.model_copy(update={"failed": outcome.failed.get(entry.cell, "not made yet")}), None)]
     evaluation = read_evaluation(outcome.folders[entry.cell])
-    answers: dict[str, Answer] = {NOMINAL: "nothing", REPAIRED: "repair"}
+    answers: dict[str, Answer] = {SIMULATOR: "nothing", REPAIRED: "repair"}
     return [
         _Scored(
             Row(
@@ -136,7 +135,7 @@ def _with_scores(row: Row, group: list[Entry], outcome: Outcome) -> _Scored:
     if not standing:
         return _Scored(row.model_copy(update={"failed": reasons[0] if reasons else "not made yet"}), None)
     evaluations = [read_evaluation(outcome.folders[entry.cell]) for entry in standing]
-    names = [next(iter(evaluation.forecasters)) for evaluation in evaluations]
+    names = [next(iter(evaluation.models)) for evaluation in evaluations]
     failed = f"{len(reasons)} of {len(group)} seeds: {reasons[0]}" if reasons else None
     row = row.model_copy(update={"seeds": len(standing), "failed": failed})
     return _Scored(row, row_scores(evaluations, names))
@@ -161,7 +160,7 @@ def _complete(each: _Scored, scored: list[_Scored], floor: RowScores | None, dra
     scores = each.scores
     if scores is None or draws is None:
         return each.row
-    nominal = next((s.scores for s in scored if s.row.label == NOMINAL and s.scores), None)
+    nominal = next((s.scores for s in scored if s.row.label == SIMULATOR and s.scores), None)
     closed = Value(value=None)
     if nominal is not None and each.row.answer is not None:
         closed = draws.closed(scores.adds_auc, nominal.adds_auc, None if floor is None else floor.adds_auc)

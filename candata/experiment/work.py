@@ -25,6 +25,7 @@ from candata.schema.json_text import parse_json
 from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.jobs import TrainRequest, prepare
 from candata.training.loop import train
+from candata.training.results import REPAIRED, SIMULATOR
 from candata.training.settings import TrainingSettings
 
 SETS, SEALS = "set", "seals"
@@ -232,12 +233,24 @@ def _make_run(cell: Cell, folder: Path, inputs: Mapping[str, Path], threads: int
 
 def _make_evaluation(cell: Cell, folder: Path, inputs: Mapping[str, Path], threads: int) -> dict[str, Any]:
     """Return the name of the model in an evaluation, which stands in the folder."""
+    rows = cell.settings["rows"]
+    has_simulators = bool({SIMULATOR, REPAIRED} & set(rows))
+    truth = cell.settings.get("truth")
+    effects = None if truth is None else tuple(EffectSetting.model_validate(effect) for effect in truth)
+    if REPAIRED in rows and truth is None:
+        effects = _repair(inputs)
     settings = EvaluationSettings(
-        group="all", **{name: cell.settings[name] for name in ("samples", "steps", "execute", "seed")}
+        group="all",
+        baselines=bool(rows),
+        simulator=has_simulators,
+        scene=cell.places.get("scene") if has_simulators else None,
+        effects=effects,
+        threads=threads,
+        **{name: cell.settings[name] for name in ("samples", "steps", "execute", "seed")},
     )
-    evaluation, _tracks = evaluate(inputs["run"] / "run", _dataset_at(inputs["test"]), settings)
+    evaluation, _tracks = evaluate([inputs["run"] / "run"], _dataset_at(inputs["test"]), settings)
     write_text(folder / EVALUATION, evaluation.model_dump_json(indent=1) + "\n", "evaluation")
-    return {"model": next(iter(evaluation.forecasters)), "episodes": evaluation.episodes}
+    return {"model": next(iter(evaluation.models)), "episodes": evaluation.episodes}
 
 
 def threads_of(jobs: int) -> int:
