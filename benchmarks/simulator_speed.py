@@ -1,8 +1,8 @@
 """The simulator as a forecaster beside bare stepping: physics steps a second of both, and their ratio.
 
-Simulates episodes of `xhand_tabletop`, forecasts windows of them by `candata.training.simulator`, and steps MuJoCo alone
-(`mj_step`, one simulation after another) from the same starts under the same commands, as many steps. The two take
-turns, so that what else the machine does meets both.
+Simulates episodes of `xhand_tabletop`, forecasts windows of them by `candata.training.simulator`, and steps MuJoCo
+alone (`mj_step`, one simulation after another) from the same starts under the same commands, as many steps. The two
+take turns, so that what else the machine does meets both.
 """
 
 from __future__ import annotations

@@ -20,9 +20,9 @@ from candata.training.window_starts import EARLIER_S, commands_from, is_toss, wi
 Array = NDArray[np.float64]
 #: Windows stepped together: enough to hide the loop's overhead, few enough to stay in cache.
 TOGETHER = 128
-#: Share of the pose error removed each control step while something touches the object. A diagnosis takes a tenth of it,
-#: as an observer hides what is wrong; a forecast wants to begin where the object is. Chosen of 0.006, 0.02, 0.06 and
-#: 0.15: the least error of forecasts in the true world, and nearly the least in the nominal one (grasps of a can).
+#: Share of the pose error removed each control step while something touches the object. A diagnosis takes a tenth of
+#: it, as an observer hides what is wrong; a forecast wants to begin where the object is. Chosen of 0.006, 0.02, 0.06
+#: and 0.15: the least error of forecasts in the true world, and nearly the least in the nominal one (grasps of a can).
 POSE_GAIN = 0.06
 
 
