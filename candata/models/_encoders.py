@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from candata.errors import DataError
-from candata.models._config import DiffusionConfig
+from candata.models._config import UnetConfig
 from candata.models._contract import Batch, Sizes
 from candata.models._inputs import Inputs, Reader, turn_points
 from candata.models._unet import convolution
@@ -70,7 +70,7 @@ class PointNet(nn.Module):
 class HistoryEncoder(nn.Module):
     """All of the history as one vector z."""
 
-    def __init__(self, config: DiffusionConfig, sizes: Sizes, reader: Reader) -> None:
+    def __init__(self, config: UnetConfig, sizes: Sizes, reader: Reader) -> None:
         super().__init__()
         z, width, groups = config.latent, config.temporal_width, config.groups
         self.config = config
