@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from candata.errors import UsageError
 from candata.models._contract import Sizes
+from candata.schema.kinematics import HandKinematics
 from candata.schema.record import Record
 
 
@@ -44,6 +45,43 @@ class MlpConfig(HistoryConfig):
 
     width: int = Field(default=512, ge=1)
     layers: int = Field(default=3, ge=1)
+
+
+class ParticleConfig(Record):
+    """Configuration of `particle`.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the first weights.
+    planned_actions : bool
+        Whether the actions that will be taken move the fingertips; without them the last command stays.
+    hand : HandKinematics or None
+        How the joints move the fingertips, and how high the table is. `candata train` reads it off the scene that the
+        recordings name; without it nothing pushes the object.
+    particles : int
+        Points of the cloud that are moved.
+    cells : int
+        Cells of the grid along the object's diameter.
+    width : int
+        Features of a particle and of a node.
+    unrolled_steps : int
+        Steps that the loss is taken over.
+    friction : float
+        Coefficient between the object and what pushes it.
+    random_yaw : bool
+        Whether each window is turned about the vertical by chance while training.
+    """
+
+    seed: int = Field(default=0, ge=0, lt=2**64)
+    planned_actions: bool = True
+    hand: HandKinematics | None = None
+    particles: int = Field(default=256, ge=4)
+    cells: int = Field(default=12, ge=1, le=32)
+    width: int = Field(default=128, ge=1)
+    unrolled_steps: int = Field(default=5, ge=1)
+    friction: float = Field(default=0.5, ge=0)
+    random_yaw: bool = True
 
 
 class UnetConfig(HistoryConfig):
