@@ -1,4 +1,4 @@
-"""The commands of the dynamics model: train, evaluate."""
+"""The command that trains a dynamics model."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from candata_cli import console
 from candata_cli.outputs import check_output
+from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 #: Shortest time between two lines of progress [s].
 _EVERY_S = {True: 0.5, False: 10.0}
 
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
 Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
 Scaling = Annotated[
     str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
@@ -31,12 +30,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def register(app: typer.Typer) -> None:
-    """Add `train` and `evaluate`."""
+    """Add `train`."""
     app.command(
         epilog="Examples: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first; "
         "candata train --data sim:0.7,real:0.3 --init runs/first --out runs/tuned"
     )(train)
-    app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
 
 
 @console.stoppable()
@@ -86,11 +84,11 @@ def train(
 
     check_output(out, "folder")
     refuse_foreign(out)
-    _need_torch()
+    need_torch()
     from candata.training import TrainRequest, prepare
     from candata.training import train as run
 
-    _set_threads(threads)
+    set_threads(threads)
     noise = {"position_m": pose_noise_m, "rotation_rad": pose_noise_rad, "command": command_noise}
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
@@ -112,45 +110,6 @@ def train(
     _print_trained(job, progress, out, list(paths.values())[-1], json)
 
 
-@console.stoppable()
-def evaluate(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
-    data: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset to evaluate on: folder or registered name.")],
-    split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
-    execute: Annotated[
-        int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the page; RUN/evaluation by default.")] = None,
-    device: Device = "cpu",
-    threads: Threads = None,
-    version: Version = None,
-    json: Json = False,
-) -> None:
-    """Score a model on held-out episodes beside `the object stays` and `keeps its velocity`.
-
-    Forecasts from each window, and closed loops over whole episodes in which the model sees its own poses; joints
-    and actions are replayed. Writes evaluation.json and evaluation.html.
-    """
-    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
-    check_output(folder, "folder")
-    _need_torch()
-    from candata.reports.evaluation import summary, write_evaluation
-    from candata.training import EvaluationSettings
-    from candata.training import evaluate as judge
-
-    _set_threads(threads)
-    with console.stages() as stage:
-        evaluation_settings = EvaluationSettings(split, samples, steps, execute, seed, device)
-        evaluation, tracks = judge(run, console.open_named(data, version), evaluation_settings, stage)
-        stage("writing the page")
-        page = write_evaluation(evaluation, tracks, folder)
-    console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
-    console.note(f"page: {page}")
-
-
 def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:
     """Tell how many values the normaliser clips."""
     if clip_counts := job.run.normaliser.get("clipped"):
@@ -163,17 +122,6 @@ def _saved_text(out: Path) -> str:
     from candata.training.checkpoint import LAST_FILE
 
     return f"the last checkpoint stands in {out}" if (out / LAST_FILE).is_file() else "nothing was trained yet"
-
-
-def _need_torch() -> None:
-    """Refuse to begin without the packages that training needs."""
-    from importlib.util import find_spec
-
-    from candata.errors import MissingExtraError
-
-    for package in ("torch", "safetensors"):
-        if find_spec(package) is None:
-            raise MissingExtraError(package, "train")
 
 
 def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, str]]:
@@ -190,14 +138,6 @@ def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, 
     if version is not None:
         raise UsageError("--version is of one dataset", found=data, fix="leave --version out")
     return Mixture(names=tuple(paths), parts=stated_mixture.parts), paths
-
-
-def _set_threads(threads: int | None) -> None:
-    """Tell torch how many threads to use."""
-    import torch
-
-    if threads is not None:
-        torch.set_num_threads(threads)
 
 
 def _settings(

@@ -48,13 +48,18 @@ class Drifts:
         return ForecastArrays(steps, np.full(batch["future_pad"].shape, 0.9))
 
 
+def score(windows, forecasters, execute, seed):
+    """The scores of forecasters that all see the same windows."""
+    return scoring.score(windows, {n: scoring.Entrant(f, windows, execute) for n, f in forecasters.items()}, seed)
+
+
 @pytest.fixture
 def glide(dataset):
     return windows(dataset(episodes=4), history=4, horizon=6, pad="both", step=2)
 
 
 def test_the_oracle_is_perfect_open_and_closed(glide):
-    found = scoring.score(glide, {"oracle": Oracle(), **BASELINES}, 3, 0)
+    found = score(glide, {"oracle": Oracle(), **BASELINES}, 3, 0)
     opened, closed = found.windows["oracle"], found.closed_loop["oracle"]
     # Poses are kept in float32: 1e-7 of a metre or so each, added up over a horizon.
     assert max(opened.position_error_m) < 1e-6
@@ -65,7 +70,7 @@ def test_the_oracle_is_perfect_open_and_closed(glide):
 
 
 def test_the_baselines_have_the_errors_of_a_gliding_object(glide):
-    found = scoring.score(glide, BASELINES, 3, 0)
+    found = score(glide, BASELINES, 3, 0)
     ahead_s = np.arange(1, 7) / 10
     np.testing.assert_allclose(found.windows["stays"].position_error_m, SPEED_M_S * ahead_s, rtol=1e-4)
     np.testing.assert_allclose(found.windows["stays"].rotation_error_rad, 0.4 * ahead_s, rtol=1e-3)
@@ -146,10 +151,12 @@ def test_rows_that_are_not_valid_count_in_nothing(tmp_path, dataset):
     road = course(found)
     assert road.valid.sum() == 27 - 10
     assert not road.valid[0, 20 // 2 - 4 : 40 // 2 - 4].any()
-    scores = scoring.score(found, BASELINES, 3, 0)
+    scores = score(found, BASELINES, 3, 0)
     assert scores.closed_loop["keeps_velocity"].final_position_error_m < 1e-4
     assert scores.closed_loop["stays"].adds_auc is None
-    assert scores.gain == {}
+    assert scores.pairs == ()
+    assert found.cache.valid.sum() < len(episode)
+    assert scores.gap_rows == 10
 
 
 def test_a_loop_begins_at_a_valid_row(glide):
@@ -181,19 +188,24 @@ def test_nothing_to_follow_is_an_error(glide):
         course(replace(glide, cache=cache))
 
 
-def test_the_gain_is_the_difference_of_the_areas(glide):
-    found = scoring.score(glide, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
+def test_a_pair_is_the_difference_of_the_areas(glide):
+    found = score(glide, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
     areas = [found.closed_loop[name].adds_auc for name in ("oracle", "stays")]
-    gain = found.gain["stays"]
-    assert gain.value == pytest.approx(areas[0] - areas[1], abs=1e-12)
-    assert gain.low is gain.high is None
+    (pair,) = found.pairs
+    assert (pair.forecaster, pair.reference) == ("oracle", "stays")
+    assert pair.value == pytest.approx(areas[0] - areas[1], abs=1e-12)
+    assert pair.low is pair.high is None
+    assert found.closed_loop["oracle"].adds_auc_interval is None
     assert found.by_episode[0].adds_auc.keys() == {"oracle", "stays"}
 
 
-def test_a_gain_has_an_interval_from_8_episodes_on(dataset):
+def test_a_pair_has_an_interval_from_8_episodes_on(dataset):
     many = windows(dataset("many", episodes=8), history=4, horizon=6, pad="both", step=2)
-    gain = scoring.score(many, {"oracle": Oracle(), "stays": Stays()}, 3, 0).gain["stays"]
-    assert gain.low <= gain.value <= gain.high
+    found = score(many, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
+    (pair,) = found.pairs
+    assert 0 < pair.low <= pair.value <= pair.high
+    low, high = found.closed_loop["stays"].adds_auc_interval
+    assert low < found.closed_loop["stays"].adds_auc < high
 
 
 def test_adds_in_the_loop_is_that_of_each_row(glide):
@@ -203,7 +215,7 @@ def test_adds_in_the_loop_is_that_of_each_row(glide):
     rows = [
         metrics.adds(cloud, loop.poses[e, k], road.truth[e, k]) for e, k in zip(*np.nonzero(road.valid), strict=True)
     ]
-    found = scoring.score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
+    found = score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
     assert found.adds_m == pytest.approx(np.mean(rows), rel=1e-12)
     assert found.adds_auc == pytest.approx(metrics.auc(np.array(rows)), rel=1e-12)
 
@@ -211,11 +223,11 @@ def test_adds_in_the_loop_is_that_of_each_row(glide):
 def test_no_object_is_scored_with_the_cloud_of_another(glide):
     clouds = (None, *glide.cache.file.clouds[1:])
     part = replace(glide, cache=replace(glide.cache, file=glide.cache.file.model_copy(update={"clouds": clouds})))
-    found = scoring.score(part, BASELINES, 3, 0)
+    found = score(part, BASELINES, 3, 0)
     assert found.windows["stays"].adds_auc is found.closed_loop["stays"].adds_auc is None
     others = part.owner > 0
     rest = replace(part, owner=part.owner[others], present_row=part.present_row[others])
-    assert scoring.score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
+    assert score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
 
 
 def test_many_windows_are_thinned_evenly(glide, monkeypatch):
@@ -224,12 +236,12 @@ def test_many_windows_are_thinned_evenly(glide, monkeypatch):
 
 
 def test_tracks_begin_with_the_row_last_observed(glide):
-    found = scoring.score(glide, BASELINES, 3, 0)
+    found = score(glide, BASELINES, 3, 0)
     track = next(one for one in found.tracks if one.id == "glide-00")
     assert track.time_s[0] == pytest.approx(0.3)
     assert len(track.time_s) == len(track.truth) == len(track.contact) == len(track.poses["stays"]) == 28
     assert position_error(track.poses["stays"], track.truth)[0] == 0
-    assert np.isnan(track.forecast_contact[0])
+    assert np.isnan(track.forecast_contact["stays"][0])
 
 
 def test_the_episodes_shown_are_spread_from_worst_to_best():
