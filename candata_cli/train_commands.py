@@ -64,6 +64,9 @@ def train(
         Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
     ] = None,
     normaliser: Scaling = None,
+    scene: Annotated[
+        str | None, typer.Option("--scene", help="Scene of the hand, where the recordings name none (`particle`).")
+    ] = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
     command_noise: CommandNoise = 0,
@@ -90,12 +93,14 @@ def train(
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
+    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene)
     with console.stoppable(lambda: _saved_text(out), goes_on=True), console.stages() as stage:
         stage("reading the dataset")
         datasets = {name: console.open_named(path, version) for name, path in paths.items()}
         job = prepare(datasets if mixture else datasets[""], request, settings, device)
         _tell_clipped(job, stage)
+        for note in job.notes:
+            console.note(note)
         if init is not None:
             stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -179,14 +179,25 @@ class Reader(nn.Module):
         required_names += ["history/contact"] * config.contact_history
         required_names += ["history/fingertip_contact"] * config.fingertip_contact
         required_names += ["planned/action"] * config.planned_actions
-        absent_names = [name for name in required_names if name not in batch]
-        if absent_names:
-            raise DataError(
-                "the windows lack what the model reads",
-                expected=", ".join(required_names),
-                found=f"no {', '.join(absent_names)}",
-                fix="open the windows with the channels `MODEL.reads(config)` names",
-            )
+        require_names(batch, required_names)
+
+
+def require_names(batch: Mapping[str, Tensor], required_names: Sequence[str]) -> None:
+    """Return nothing when a batch has all of these names.
+
+    Raises
+    ------
+    DataError
+        When it lacks one.
+    """
+    absent_names = [name for name in required_names if name not in batch]
+    if absent_names:
+        raise DataError(
+            "the windows lack what the model reads",
+            expected=", ".join(required_names),
+            found=f"no {', '.join(absent_names)}",
+            fix="open the windows with the channels `MODEL.reads(config)` names",
+        )
 
 
 def known_steps(batch: Batch) -> Tensor:

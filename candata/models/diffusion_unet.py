@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from candata.loaders import Normaliser
-from candata.models._config import PRESETS, DiffusionConfig, check_sizes, parser
+from candata.models._config import DIFFUSION_PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, normal
 from candata.models._encoders import HistoryEncoder
@@ -94,7 +94,7 @@ def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> Dif
 MODEL = Model(
     "denoising diffusion over pose increments, blind to contact",
     ("object_pose", "joint_position", "action"),
-    {name: DiffusionConfig(**values) for name, values in PRESETS.items()},
+    {name: DiffusionConfig(**values) for name, values in DIFFUSION_PRESETS.items()},
     parser(DiffusionConfig),
     _build,
     {"contact_history": "contact", "fingertip_contact": "fingertip_contact"},

@@ -25,6 +25,9 @@ TINY_FIELDS: Mapping[str, Any] = {
     "time_features": 16,
     "width": 32,
     "layers": 2,
+    "random_yaw": False,
+    "particles": 16,
+    "unrolled_steps": 2,
 }
 
 

@@ -22,6 +22,7 @@ from candata.schema.record import Record
 from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
+from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
 from candata.training.settings import Run, TrainingSettings
 
@@ -55,6 +56,8 @@ class TrainRequest:
         Method of the normaliser; `robust`, or the normaliser of `init`.
     mixture : Mixture or None
         Shares of several datasets.
+    scene : str or None
+        Scene of the recordings' hand, for a model that reads where the fingertips are; the one they name when None.
     """
 
     model: str | None = None
@@ -67,6 +70,7 @@ class TrainRequest:
     init: Path | None = None
     normaliser: Method | None = None
     mixture: Mixture | None = None
+    scene: str | None = None
 
 
 def prepare(
@@ -99,8 +103,11 @@ def prepare(
     check_device(device)
     initial = None if request.init is None else checkpoint.read(request.init)
     name, config = _model_config(request, initial, settings)
-    reads = find_model(name).reads(config)
     training_data = find_data(data, request.mixture, request.split)
+    notes: tuple[str, ...] = ()
+    if initial is None:
+        config, notes = with_hand(config, training_data.datasets.values(), request.scene)
+    reads = find_model(name).reads(config)
     default_shape = DEFAULT_SHAPE if initial is None else initial.run.sizes | {"rate_hz": initial.run.rate_hz}
     requested_shape = {"history": request.history, "horizon": request.horizon, "rate_hz": request.rate_hz}
     window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}
@@ -122,6 +129,7 @@ def prepare(
         device,
         training_data.split_record(),
         _effective(train, run),
+        notes,
     )
 
 

@@ -156,6 +156,11 @@ class Run(Record):
     revision: str
 
     @property
+    def planned_actions(self) -> bool | None:
+        """Whether the model reads the actions that will be taken; None where its configuration does not say."""
+        return self.config.get("planned_actions")
+
+    @property
     def trained_on(self) -> tuple[TrainingSource, ...]:
         """The datasets trained on, one or those of the mixture."""
         dataset_fields = {name: getattr(self, name) for name in ("dataset", "digest", "version", "split_digest")}

@@ -29,7 +29,7 @@ def test_nothing_is_known_from_a_present_that_is_not_there():
     assert not known_steps(windows).any()
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "particle", "contact_diffusion"])
 def test_the_shortest_windows(name, tiny, batch, generator):
     sizes = Sizes(history=1, horizon=1, joints=3, actuators=3, fingertips=2, points=16)
     net, windows = tiny(name, sizes), batch(3, sizes=sizes)
@@ -51,7 +51,7 @@ def test_contact_is_signed_and_blank_where_padded(tiny, batch):
     assert set(found[:, 1:].unique().tolist()) == {-1.0, 1.0}
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "contact_diffusion"])
 def test_padded_history_is_not_read(name, tiny, batch, awake, generator):
     windows, net = batch(3), awake(tiny(name, fingertip_contact=True))
     whole = net.forecast(windows, 2, 2, generator(0)).increments
@@ -65,7 +65,7 @@ def test_padded_history_is_not_read(name, tiny, batch, awake, generator):
     assert not torch.equal(before, whole)
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "contact_diffusion"])
 @pytest.mark.parametrize("world_position", [False, True])
 def test_moving_the_world(name, world_position, tiny, batch, awake, generator):
     windows, net = batch(3), awake(tiny(name, world_position=world_position))
@@ -120,6 +120,8 @@ def test_a_window_without_a_cloud_reads_none(tiny, batch, awake, generator):
         ("diffusion_unet", "planned/action"),
         ("contact_diffusion", "history/contact"),
         ("diffusion_unet", "clouds"),
+        ("particle", "history/object_pose"),
+        ("unet", "planned/action"),
     ],
 )
 def test_a_name_that_is_missing_is_told(name, lost, tiny, batch, generator):
