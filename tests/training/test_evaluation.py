@@ -113,9 +113,9 @@ def test_test_episodes_that_an_ancestor_has_seen_are_refused_with_their_ids(make
     seen = json.loads((first / "split.json").read_text())["train"]
     tuned = tmp_path / "tuned"
     train(prepare(dataset("other", episodes=3), TrainRequest(init=first), SETTINGS), tuned)
+    # By the default split, which the tuned run was not trained by, the test holds what the first run trained on.
+    save_split(data, make_split(data, {"train": 0.1, "val": 0.1, "test": 0.8}, seed=4), "default")
     with pytest.raises(UsageError) as refusal:
-        # By the default split, which the tuned run was not trained by, the test holds what the first run trained on.
-        save_split(data, make_split(data, {"train": 0.1, "val": 0.1, "test": 0.8}, seed=4), "default")
         evaluate([tuned], data, QUICK)
     assert "tuned was trained on episodes of the group test" in str(refusal.value)
     assert any(name in str(refusal.value) for name in seen)
