@@ -91,11 +91,13 @@ class SealedWorld(Record):
 class Source(Record):
     """A dataset: one that stands (`path`), one to simulate (`recipe`, `generate`), or a world that stands in for real.
 
-    `split` is of a `path` alone: the stored split whose `test` is held out; the default one where none is given.
+    `split` and `cloud_of` are of a `path` alone: the stored split whose `test` is held out (default: the default one),
+    and the scene whose object's surface the episodes get as point cloud, where they have none.
     """
 
     path: str | None = None
     split: str | None = None
+    cloud_of: str | None = None
     recipe: str | None = None
     generate: Generation | None = None
     sealed: SealedWorld | None = None
@@ -105,8 +107,8 @@ class Source(Record):
         """Refuse none of them, or several."""
         if sum(value is not None for value in (self.path, self.recipe, self.generate, self.sealed)) != 1:
             raise ValueError("expected one of path, recipe, generate and sealed")
-        if self.split is not None and self.path is None:
-            raise ValueError("split goes with path alone")
+        if (self.split is not None or self.cloud_of is not None) and self.path is None:
+            raise ValueError("split and cloud_of go with path alone")
         return self
 
 
@@ -232,7 +234,15 @@ def read_experiment(path: Path, scale: float = 1.0) -> ExperimentFile:
     if not 0 < scale <= 1:
         raise UsageError("--scale is out of range", expected="above 0, at most 1", found=f"{scale:g}")
     file = ExperimentFile.parse(read_yaml(path, "the experiment"), path)
-    file = file.model_copy(update={"data": {name: _located(each, path.parent) for name, each in file.data.items()}})
+    file = file.model_copy(
+        update={
+            "data": {name: _located(each, path.parent) for name, each in file.data.items()},
+            "columns": {
+                title: column.model_copy(update={"scene": column.scene and _scene_beside(column.scene, path.parent)})
+                for title, column in file.columns.items()
+            },
+        }
+    )
     _check_names(file, path)
     file = _scaled(file, scale) if scale < 1 else file
     most = min((world.train for source in file.data.values() if (world := source.sealed)), default=None)
@@ -252,7 +262,8 @@ def read_experiment(path: Path, scale: float = 1.0) -> ExperimentFile:
 def _located(source: Source, folder: Path) -> Source:
     """Return a source with its recipe read, and its paths seen from the folder of the file that names them."""
     if source.path is not None:
-        return source.model_copy(update={"path": _beside(source.path, folder)})
+        cloud_of = source.cloud_of and _scene_beside(source.cloud_of, folder)
+        return source.model_copy(update={"path": _beside(source.path, folder), "cloud_of": cloud_of})
     if source.sealed is not None:
         return Source(sealed=_with_paths(source.sealed, folder))
     if source.generate is not None:

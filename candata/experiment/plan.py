@@ -16,6 +16,7 @@ from candata.loaders.layout import row_shapes
 from candata.models import Model
 from candata.models import model as find_model
 from candata.scenes.assemble import OBJECT_MARK
+from candata.training.jobs import OF_THE_ROBOT
 from candata.training.settings import FINE_TUNE_SHARE
 
 #: Said where a standing set lacks a channel that a model reads.
@@ -237,8 +238,10 @@ class _Planner:
             settings: dict[str, Any] = {"part": word, "train": source.sealed.train}
         else:
             whole = self.add(_standing_cell(source_name, self._standing(source_name)))
-            settings = {"part": word, "split": source.split}
-        return self.add(Cell("part", f"part/{source_name}/{word}", settings, {"data": whole}))
+            cloud = {} if source.cloud_of is None else {"cloud_of": _scene_settings(source.cloud_of)}
+            settings = {"part": word, "split": source.split, **cloud}
+        name = f"part/{source_name}/{word}"
+        return self.add(Cell("part", name, settings, {"data": whole}, _scene_place(source.cloud_of)))
 
     def diagnosis(self, title: str, column: Column, count: int | None) -> str:
         """Return the name of the diagnosis of the training part of a real set."""
@@ -291,7 +294,7 @@ class _Planner:
             return
         present = set(row_shapes(self._standing(column.real), None))
         for name, entry in self.file.models.items():
-            missing = [channel for channel in reads(entry, name) if channel not in present]
+            missing = [c for c in reads(entry, name) if c not in present and c not in OF_THE_ROBOT]
             if missing:
                 raise DataError(
                     f"column {title}: {column.real} lacks {', '.join(missing)}, which {name} reads",

@@ -12,6 +12,7 @@ import numpy as np
 from candata.datasets import Dataset, append, open_dataset, put_cloud
 from candata.datasets.deriving import new_dataset
 from candata.datasets.filtering import chosen_dataset
+from candata.datasets.history import derived_lineage
 from candata.datasets.versions import DATASET
 from candata.effects import read_effects, read_randomisation
 from candata.errors import DataError, UsageError, Where
@@ -210,7 +211,7 @@ def opened_effects(seal: Path, dataset: Dataset) -> tuple[EffectSetting, ...] | 
     return None if label.outside is not None else label.effects
 
 
-def make_part(root: Path, dataset: Dataset, settings: dict[str, Any]) -> Dataset:
+def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: str | None = None) -> Dataset:
     """Return the test part of a real set, or so many of its training episodes, as a dataset of its own.
 
     Parameters
@@ -222,6 +223,8 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any]) -> Dataset
     settings : dict
         `part` (`test`, `train-all`, `train-30`); `train`, how many come first of a set that was made for this, or
         `split`, the name of a stored split (null: the default one).
+    cloud_of : str, optional
+        Scene whose object's surface the episodes get as point cloud; those that have one keep it.
 
     Raises
     ------
@@ -229,9 +232,25 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any]) -> Dataset
         When there are fewer training episodes than are asked for, or none are left.
     """
     if not (root / DATASET).exists():
-        chosen_dataset(dataset, _part_ids(dataset, settings), root, {"part": settings["part"]})
+        ids, details = _part_ids(dataset, settings), {"part": settings["part"]}
+        if cloud_of is None:
+            chosen_dataset(dataset, ids, root, details)
+        else:
+            _copy_with_cloud(dataset, ids, root, details, cloud_of)
     part = open_dataset(root)
     return part if settings["part"] == "test" else _with_split(part)
+
+
+def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: dict[str, Any], scene: str) -> None:
+    """Write a copy of some episodes whose object has the surface of a scene's object as point cloud."""
+    points = surface_cloud(load_scene(scene))
+    with new_dataset(root) as draft:
+        cloud = put_cloud(draft, points)
+        copies = (
+            replace(episode, meta=episode.meta.model_copy(update={"point_cloud": episode.meta.point_cloud or cloud}))
+            for episode in dataset.episodes(ids)
+        )
+        append(draft, copies, derived_lineage("filter", [dataset], details))
 
 
 def _part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:

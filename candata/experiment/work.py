@@ -171,7 +171,8 @@ def _make_data(cell: Cell, folder: Path, inputs: Mapping[str, Path], bench: Benc
 def _make_part(cell: Cell, folder: Path, inputs: Mapping[str, Path], bench: Bench) -> dict[str, Any]:
     """Return the facts of a part of a real set."""
     bench.stage(cell.name)
-    dataset = sources.make_part(folder / SETS, _dataset_at(inputs["data"]), dict(cell.settings))
+    whole = _dataset_at(inputs["data"])
+    dataset = sources.make_part(folder / SETS, whole, dict(cell.settings), cell.places.get("scene"))
     return {"digest": dataset.digest, "episodes": len(dataset)}
 
 
