@@ -39,7 +39,7 @@ class _Run:
     def make(self, cells: Mapping[str, Cell]) -> None:
         """Make all cells that can be made."""
         names = digests(cells)
-        pending = [name for name in cells if name not in self.records]
+        pending = [name for name in cells if name not in self.records and name not in self.failed]
         while pending:
             for name in [n for n in pending if any(i in self.failed for i in cells[n].inputs.values())]:
                 cause = next(i for i in cells[name].inputs.values() if i in self.failed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ from candata.simulate.recipe import SetOptions
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 #: Shares of a set that is trained on: no part of it is for testing, which is done on real episodes.
-TRAINED_ON = {"train": 0.9, "val": 0.1}
+TRAINED_ON: Mapping[str, float] = {"train": 0.9, "val": 0.1}
 #: Name of the one label of a world with an outside cause, or with everything a little wrong.
 _CASE_NAME = "world"
 
@@ -237,8 +237,7 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: 
             chosen_dataset(dataset, ids, root, details)
         else:
             _copy_with_cloud(dataset, ids, root, details, cloud_of)
-    part = open_dataset(root)
-    return part if settings["part"] == "test" else _with_split(part)
+    return _with_split(open_dataset(root), {"test": 1.0} if settings["part"] == "test" else TRAINED_ON)
 
 
 def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: dict[str, Any], scene: str) -> None:
@@ -276,8 +275,7 @@ def _part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:
     return train[:count]
 
 
-def _with_split(dataset: Dataset) -> Dataset:
-    """Return the dataset, with a split that trains on nearly all of it."""
-    shares = TRAINED_ON if len(dataset) > 1 else {"train": 1.0}
-    save_split(dataset, make_split(dataset, shares), DEFAULT)
+def _with_split(dataset: Dataset, shares: Mapping[str, float] = TRAINED_ON) -> Dataset:
+    """Return the dataset with a default split of these shares; a single episode is all of the first group."""
+    save_split(dataset, make_split(dataset, shares if len(dataset) > 1 else {next(iter(shares)): 1.0}), DEFAULT)
     return dataset

@@ -17,6 +17,7 @@ SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
     [
         ({"colums": {}}, "unknown key `colums`, did you mean `columns`"),
         ({"models": {"mpl": TINY}}, "unknown model 'mpl'"),
+        ({"models": {"mlp": {"config": {"widht": 3}}}}, "did you mean `width`"),
         ({"models": {"mlp": {"step": 3}}}, "unknown key `step`, did you mean `steps`"),
         ({"columns": {"a": {"sim": "smi", "real": "real"}}}, "unknown source of data in column a 'smi'"),
         ({"columns": {"a": {"real": "real"}}}, "column a has no simulated set"),
@@ -30,7 +31,7 @@ SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
 )
 def test_what_means_nothing_is_refused_in_words(experiment_file, changes, words):
     with pytest.raises(UsageError) as refusal:
-        read_experiment(experiment_file(**changes))
+        plan_cells(read_experiment(experiment_file(**changes)))
     assert words in str(refusal.value)
 
 

@@ -7,7 +7,7 @@ import pytest
 from candata.datasets import open_dataset
 from candata.effects import read_randomisation
 from candata.experiment import plan_cells, read_experiment, run_experiment
-from candata.experiment.config import SealedWorld
+from candata.experiment.config import Generation, SealedWorld
 from candata.experiment.sources import make_sealed, opened_effects, set_options
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
@@ -21,7 +21,7 @@ def table_of(path, out, **more):
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(experiment_file, tmp_path):
-    path = experiment_file()
+    path = experiment_file(regimes=["sim", "real-finetune"])
     whole = table_of(path, tmp_path / "whole")
 
     def stop(words: str) -> None:
@@ -34,20 +34,27 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(experiment_file, tmp_p
     standing = {file: file.stat().st_mtime_ns for file in (tmp_path / "parts").glob("cells/*/cell.json")}
     table_of(path, tmp_path / "parts")
     assert (tmp_path / "parts" / "table.json").read_bytes() == (tmp_path / "whole" / "table.json").read_bytes()
-    assert standing and all(file.stat().st_mtime_ns == time for file, time in standing.items())
-    assert [row.label for row in whole.rows] == ["stays", "mlp, sim", "mlp, real", "mlp, real-finetune"]
+    assert standing
+    assert all(file.stat().st_mtime_ns == time for file, time in standing.items())
+    assert [row.label for row in whole.rows] == ["stays", "mlp, sim", "mlp, real-finetune"]
     assert all(row.adds_auc.value is not None and row.mse.value is not None for row in whole.rows)
     assert all(row.adds_auc.low is None for row in whole.rows)
     assert whole.notes == ("fewer than 30 test episodes, so no intervals: single",)
 
 
 def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_file, tmp_path):
-    models = {"mlp": TINY, "bad": {"model": "mlp", **TINY, "config": {"width": -1}}}
-    table = table_of(experiment_file(models=models, regimes=["sim"]), tmp_path / "out")
+    widths = {"latent": 8, "temporal_width": 8, "widths": [8, 8], "time_features": 8, "point_widths": [8]}
+    bad = {"steps": 20, "batch": 8, "config": {**widths, "train_steps": 2, "sampling_steps": 2}}
+    path = experiment_file(
+        models={"mlp": TINY, "diffusion_unet": bad}, regimes=["sim"], evaluation={"samples": 1, "steps": 3}
+    )
+    table = table_of(path, tmp_path / "out")
     rows = {row.label: row for row in table.rows}
-    assert rows["mlp, sim"].adds_auc.value is not None and rows["mlp, sim"].failed is None
-    assert rows["bad, sim"].adds_auc.value is None and "width" in rows["bad, sim"].failed
-    assert {name.partition("/")[0] for name in table.failed} == {"train", "evaluation"}
+    assert rows["mlp, sim"].adds_auc.value is not None
+    assert rows["mlp, sim"].failed is None
+    assert rows["diffusion_unet, sim"].adds_auc.value is None
+    assert "--steps is out of range" in rows["diffusion_unet, sim"].failed
+    assert list(table.failed) == ["evaluation/single/diffusion_unet/nominal/sim/train-all/seed-0"]
 
 
 def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
@@ -64,7 +71,8 @@ def test_real_episodes_are_counted_and_no_test_episode_is_trained_on(experiment_
     assert [(row.label, row.real_count) for row in table.rows] == [("stays", 0), ("mlp, real", 3)]
     parts = [open_dataset(file.parent / "set") for file in (tmp_path / "out").glob("cells/part-*/cell.json")]
     test, trained = sorted(parts, key=len)
-    assert (len(test), len(trained)) == (1, 3) and not set(test.ids) & set(trained.ids)
+    assert (len(test), len(trained)) == (1, 3)
+    assert not set(test.ids) & set(trained.ids)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +90,7 @@ def test_a_world_is_made_again_from_its_seal_alone(tmp_path, difference):
         for name in ("a", "b")
     ]
     assert sets[0].digest == sets[1].digest
-    assert all(episode.meta.effects == () and episode.meta.point_cloud for episode in sets[0])
+    assert all(episode.meta.point_cloud and not episode.meta.effects for episode in sets[0])
     effects = opened_effects(tmp_path / "seals" / "seal.json", sets[0])
     if "outside" in difference:
         assert effects is None
@@ -102,10 +110,13 @@ def test_the_seal_is_opened_for_the_floor_and_shares_of_the_gap_count_from_it(ex
         "sim": {"generate": {"scene": "cube_toss", "episodes": 4, "duration_s": 0.8}},
         "real": {"sealed": real},
     }
-    path = experiment_file(data=data, regimes=["sim"], rows=["simulator"])
+    path = experiment_file(
+        data=data, regimes=["sim"], rows=["simulator"], windows={"history": 3, "horizon": 4, "rate_hz": 37}
+    )
     table = table_of(path, tmp_path / "out")
     facts, rows = table.columns["single"], {row.label: row for row in table.rows}
-    assert len(facts.opened) == 1 and facts.opened[0].startswith("sliding_friction scale 3.0")
+    assert len(facts.opened) == 1
+    assert facts.opened[0].startswith("sliding_friction scale 3.0")
     assert facts.floor == "the simulator with what the seal held"
     assert facts.floor_auc > rows["simulator"].adds_auc.value
     assert rows["simulator"].closed.value == pytest.approx(0.0)
@@ -120,8 +131,6 @@ def test_a_repair_takes_the_place_of_what_was_drawn(tmp_path):
     )
     (tmp_path / "random.yaml").write_text(text)
     file = {"scene": "cube_toss", "episodes": 4, "randomise": str(tmp_path / "random.yaml")}
-    from candata.experiment.config import Generation
-
     repair = (EffectSetting(name="object_mass", parameters={"mass_scale": 1.4}),)
     drawn = set_options(Generation(**file), repair)["randomisation"]
     assert [effect.name for effect in drawn] == ["object_mass", "sliding_friction"]

@@ -14,7 +14,9 @@ def test_half_of_the_way_to_the_floor_is_half_of_the_gap():
     floor = nominal + 0.3
     draws = Resampling(60)
     half = draws.closed((nominal + floor) / 2, nominal, floor)
-    assert half.value == pytest.approx(0.5) and half.low == pytest.approx(0.5) and half.high == pytest.approx(0.5)
+    assert half.value == pytest.approx(0.5)
+    assert half.low == pytest.approx(0.5)
+    assert half.high == pytest.approx(0.5)
     assert draws.closed(nominal, nominal, floor).value == 0
     assert draws.closed(nominal, nominal, nominal + 0.001).value is None
 
@@ -33,7 +35,8 @@ def test_an_interval_holds_the_spread_of_seeds_too():
 def test_pairs_of_episodes_make_a_sure_difference_of_noisy_scores():
     noisy = np.random.default_rng(2).uniform(0, 1, (1, 40))
     gain = Resampling(40).difference(noisy + 0.01, noisy)
-    assert gain.low == pytest.approx(0.01) and gain.high == pytest.approx(0.01)
+    assert gain.low == pytest.approx(0.01)
+    assert gain.high == pytest.approx(0.01)
 
 
 def test_few_test_episodes_have_no_interval_and_missing_scores_no_value():
