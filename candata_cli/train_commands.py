@@ -65,7 +65,12 @@ def train(
     ] = None,
     normaliser: Scaling = None,
     scene: Annotated[
-        str | None, typer.Option("--scene", help="Scene of the hand, where the recordings name none (`particle`).")
+        str | None,
+        typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
+    ] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads."),
     ] = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
@@ -85,6 +90,7 @@ def train(
     check_output(out, "folder")
     refuse_foreign(out)
     need_torch()
+    from candata.effects import read_effects
     from candata.training import TrainRequest, prepare
     from candata.training import train as run
 
@@ -93,11 +99,14 @@ def train(
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene)
+    repair = None if effects is None else read_effects(effects).effects
+    request = TrainRequest(
+        model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene, repair
+    )
     with console.stoppable(lambda: _saved_text(out), goes_on=True), console.stages() as stage:
         stage("reading the dataset")
         datasets = {name: console.open_named(path, version) for name, path in paths.items()}
-        job = prepare(datasets if mixture else datasets[""], request, settings, device)
+        job = prepare(datasets if mixture else datasets[""], request, settings, device, _simulating(stage))
         _tell_clipped(job, stage)
         for note in job.notes:
             console.note(note)
@@ -108,6 +117,11 @@ def train(
     if settings.share(progress.step, progress.elapsed_s) < 1:
         raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
     _print_trained(job, progress, out, list(paths.values())[-1], json)
+
+
+def _simulating(stage: Callable[[str], None]) -> Callable[[int, int], None]:
+    """Return what tells how far the simulator's forecasts are."""
+    return lambda done_count, total: stage(f"simulating windows: {done_count:,} of {total:,}")
 
 
 def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:

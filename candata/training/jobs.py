@@ -18,13 +18,14 @@ from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
 from candata.models import model as find_model
 from candata.schema.channels import CHANNELS
+from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
-from candata.training import checkpoint, feed, runs
+from candata.training import checkpoint, feed, run_simulator, runs, simulated
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
 from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
-from candata.training.settings import Run, TrainingSettings
+from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
 DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
@@ -57,7 +58,10 @@ class TrainRequest:
     mixture : Mixture or None
         Shares of several datasets.
     scene : str or None
-        Scene of the recordings' hand, for a model that reads where the fingertips are; the one they name when None.
+        Scene of the recordings, for a model that reads where the fingertips are or what the simulator makes of them;
+        that of `init`, else the one that each episode names.
+    effects : tuple of EffectSetting or None
+        Effects of its simulator; those of `init`, else none.
     """
 
     model: str | None = None
@@ -71,10 +75,15 @@ class TrainRequest:
     normaliser: Method | None = None
     mixture: Mixture | None = None
     scene: str | None = None
+    effects: tuple[EffectSetting, ...] | None = None
 
 
 def prepare(
-    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: TrainingSettings, device: str = "cpu"
+    data: Dataset | Mapping[str, Dataset],
+    request: TrainRequest,
+    settings: TrainingSettings,
+    device: str = "cpu",
+    simulating: simulated.Progress = lambda _done, _total: None,
 ) -> TrainingJob:
     """Return the job.
 
@@ -88,6 +97,8 @@ def prepare(
         How.
     device : str
         `cpu` or `cuda`.
+    simulating : callable
+        Called with (windows done, windows in all) while the simulator forecasts the windows of a model that reads it.
 
     Raises
     ------
@@ -113,18 +124,25 @@ def prepare(
     window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}
     window_options = window_shape | {"method": request.normaliser or "robust"}
     train = training_data.feed(tuple(training_data.datasets), "train", reads, window_options)
-    run = _run(training_data, request, settings, name, config, train, initial)
+    simulation = run_simulator.stated(name, request.scene, request.effects, initial, train)
+    if simulation is not None:
+        train = simulated.thinned(train)
+    run = _run(training_data, request, settings, name, config, train, initial, simulation)
     module = build(run, device)
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
     batches: tuple[Batch, ...] = ()
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
-        batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
+        if simulation is not None:
+            held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
+        batches = feed.held_out(
+            run_simulator.simulated_feed(held_out, run, simulating), settings.batch, HELD_OUT_BATCHES, device
+        )
     return TrainingJob(
         run,
         module,
-        feed.drawing(train, settings, device),
+        feed.drawing(run_simulator.simulated_feed(train, run, simulating), settings, device),
         batches,
         device,
         training_data.split_record(),
@@ -247,6 +265,7 @@ def _run(
     config: Record,
     train: Windows | MixedWindows,
     initial: Checkpoint | None,
+    simulation: RunSimulator | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
     facts = _facts(train)
@@ -266,6 +285,7 @@ def _run(
         normaliser=initial.run.normaliser if initial else train.normaliser.model_dump(mode="json"),
         settings=settings,
         init=_origin(initial),
+        simulator=simulation,
         revision=__version__,
     )
 

@@ -46,6 +46,14 @@ class SimulatedArrays:
     steps: int
 
 
+def simulated_keys(object_pose: NDArray, contact: NDArray) -> dict[str, NDArray[np.float32]]:
+    """Return the entries of a batch that hold simulated poses `(B, H, 7)` and contacts `(B, H)`."""
+    return {
+        "simulated/object_pose": np.asarray(object_pose, np.float32),
+        "simulated/contact": np.asarray(contact, np.float32),
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class Simulator:
     """Forecasts by simulating the scene of each episode, with the effects that belong to it.
@@ -89,6 +97,11 @@ class Simulator:
         future = ~np.asarray(batch["future_pad"])
         steps = np.where(future.any(1), future.shape[1] - future[:, ::-1].argmax(1), 0)
         return self._simulate(batch, steps, future.shape[1])
+
+    def keys(self, batch: Batch) -> dict[str, NDArray[np.float32]]:
+        """Return what a model reads of the simulator: `simulated/object_pose`, `simulated/contact` of a batch."""
+        simulated = self.simulate(batch)
+        return simulated_keys(simulated.object_pose, simulated.contact)
 
     def _simulate(self, batch: Batch, steps: NDArray[np.int64], horizon: int) -> SimulatedArrays:
         """Return the simulated poses of `steps (B,)` model steps, up to the same number for all."""
