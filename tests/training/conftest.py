@@ -134,9 +134,7 @@ def rewritten() -> Callable[..., Dataset]:
     def make(folder: Path, source: Path, change: Callable[[Episode], dict], **meta: object) -> Dataset:
         root, changed = create_dataset(folder), {"point_cloud": None, **meta}
         episodes = [
-            Episode(
-                episode.meta.model_copy(update={"point_cloud": None, **meta}), dict(episode.arrays) | change(episode)
-            )
+            Episode(episode.meta.model_copy(update=changed), dict(episode.arrays) | change(episode))
             for episode in open_dataset(source).episodes()
         ]
         append(root, episodes, Lineage(operation="test"))
