@@ -9,8 +9,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
+from candata.reports import filmstrip
 from candata.reports.document import render
-from candata.reports.filmstrip import HEIGHT, WIDTH
 from candata.reports.png import data_uri
 from candata.reports.posed import poser
 from candata.reports.render import render_frames
@@ -59,15 +59,15 @@ def _strip(evaluation: Evaluation, scene: Scene, episode: Episode, track: Track)
         qpos.append(forecast)
     if not np.isfinite(np.concatenate(qpos)).all():
         return Markup("")
-    pictures = render_frames(scene.model, np.concatenate(qpos), None, WIDTH, HEIGHT)
+    pictures = render_frames(scene.model, np.concatenate(qpos), None, filmstrip.WIDTH, filmstrip.HEIGHT)
     frames, count = [data_uri(frame) for frame in pictures.frames], len(steps)
     names = [("recorded", "recorded"), *(("nominal" if name == SIMULATOR else "repaired", name) for name in shown)]
     return render(
         "filmstrip",
         times=[f"{track.time_s[k]:.2f} s" for k in steps],
         rows=[(css, name, frames[r * count : (r + 1) * count]) for r, (css, name) in enumerate(names)],
-        width=WIDTH,
-        height=HEIGHT,
+        width=filmstrip.WIDTH,
+        height=filmstrip.HEIGHT,
         note=pictures.note,
     )
 

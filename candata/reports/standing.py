@@ -69,20 +69,25 @@ def standing(evaluation: Evaluation) -> tuple[str, str]:
 
 
 def certainty(evaluation: Evaluation) -> str:
-    """Return a sentence on how sure the headline is; empty where it states no difference."""
-    pairs = references(evaluation, best_of(evaluation))
+    """Return how sure the headline is, and where the best model stands if another forecaster is best; may be empty."""
     if not has_intervals(evaluation):
         return (
             f"{evaluation.episodes} test trajectories are fewer than {LEAST_TRAJECTORIES}: the tables have no "
             "intervals, and no difference is called sure."
         )
+    shown = dict.fromkeys((best_of(evaluation), best_model(evaluation)))
+    return " ".join(filter(None, (_margins(evaluation, name) for name in shown)))
+
+
+def _margins(evaluation: Evaluation, name: str) -> str:
+    """Return what a forecaster gains over the references, with intervals; empty without any."""
     words = [
-        f"{REFERENCES[pair.reference]} {100 * pair.value:+.1f} points (95 % {100 * pair.low:+.1f} to "
-        f"{100 * pair.high:+.1f}{'' if is_sure(evaluation, pair) else ': not sure'})"
-        for pair in pairs
+        f"{100 * pair.value:+.1f} points over {REFERENCES[pair.reference]} (95 % {100 * pair.low:+.1f} to "
+        f"{100 * pair.high:+.1f}{'' if is_sure(evaluation, pair) else ', not sure'})"
+        for pair in references(evaluation, name)
         if pair.low is not None and pair.high is not None
     ]
-    return f"Over {', over '.join(words)}." if words else ""
+    return f"{called(name)}: {', '.join(words)}." if words else ""
 
 
 def called(name: str) -> str:

@@ -222,7 +222,8 @@ def _model_entrant(evaluated: EvaluatedRun, held_out: Windows, settings: Evaluat
         f"{evaluated.name} ({run.model}, mean of {settings.samples} samples)",
         trained_simulator(evaluated.checkpoint, own_windows, settings.scene, settings.threads),
     )
-    return Entrant(forecaster, own_windows, evaluated.execute)
+    draws = "train_steps" in run.config  # as a diffusion model does; the samples of others are equal
+    return Entrant(forecaster, own_windows, evaluated.execute, replace(forecaster, samples=1) if draws else None)
 
 
 def _simulators(held_out: Windows, settings: EvaluationSettings) -> _Simulators:

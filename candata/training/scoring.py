@@ -13,7 +13,7 @@ from candata.loaders.increments import increments, integrate
 from candata.training import metrics, tracks
 from candata.training.breakdown import breakdown
 from candata.training.contact_scores import contact_scores
-from candata.training.forecasters import Forecaster, TrainedModel
+from candata.training.forecasters import Forecaster
 from candata.training.loop_errors import LoopErrors, area, closed_loop_scores, final_position_error, loop_errors
 from candata.training.pairs import ResampledAreas
 from candata.training.poses import mean_pose, position_error, rotation_error
@@ -43,11 +43,14 @@ class Entrant:
         The windows of all entrants, with its own history, horizon and channels.
     execute : int
         Steps executed before its next forecast in closed loop.
+    one_sample : Forecaster or None
+        Of a model that draws its samples: the same with one sample a forecast, whose loops are drawn beside the mean's.
     """
 
     forecaster: Forecaster
     windows: Windows
     execute: int
+    one_sample: Forecaster | None = None
 
 
 @dataclass(frozen=True)
@@ -163,16 +166,14 @@ def _tracks(
     servo_lags: ServoLags | None,
     seed: int,
 ) -> tuple[Track, ...]:
-    """Return a few episodes; the best model that samples has its samples followed in some of them."""
+    """Return a few episodes; the best model that draws samples has them followed in some of them."""
     shown = tracks.find_tracks(reference, errors)
-    sampling = {n: e.forecaster for n, e in entrants.items() if isinstance(e.forecaster, TrainedModel)}
-    if not sampling:
+    drawn = {name: entrant.one_sample for name, entrant in entrants.items() if entrant.one_sample is not None}
+    if not drawn:
         return shown
-    mean_error = {name: errors[name].position[reference.valid].mean() for name in sampling}
-    name = min(mean_error, key=lambda n: mean_error[n])
-    entrant = entrants[name]
-    seen = _course(entrant, rows_before, servo_lags)
-    return tracks.with_samples(shown, name, sampling[name], seen, entrant.execute, seed)
+    name = min(drawn, key=lambda each: float(errors[each].position[reference.valid].mean()))
+    seen = _course(entrants[name], rows_before, servo_lags)
+    return tracks.with_samples(shown, name, drawn[name], seen, entrants[name].execute, seed)
 
 
 def _clouds(windows: Windows) -> NDArray | None:

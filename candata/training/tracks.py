@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.training.forecasters import TrainedModel
+from candata.training.forecasters import Forecaster
 from candata.training.loop_errors import LoopErrors
 from candata.training.results import Track
 from candata.training.rollout import Course, close_loop, evenly_ranked, repeated
@@ -46,7 +46,7 @@ def _track(course: Course, errors: Mapping[str, LoopErrors], number: int) -> Tra
 
 
 def with_samples(
-    tracks: tuple[Track, ...], name: str, model: TrainedModel, course: Course, execute: int, seed: int
+    tracks: tuple[Track, ...], name: str, one_sample: Forecaster, course: Course, execute: int, seed: int
 ) -> tuple[Track, ...]:
     """Return the tracks, the first and the last of them with closed loops that each follow one sample of a model.
 
@@ -55,7 +55,8 @@ def with_samples(
     tracks : tuple of Track
     name : str
         Under which the model is known.
-    model : TrainedModel
+    one_sample : Forecaster
+        The model with one sample a forecast.
     course : Course
         As the model sees it.
     execute, seed : int
@@ -64,7 +65,7 @@ def with_samples(
     numbers = {course.windows.episode_ids[e]: k for k, e in enumerate(course.episodes.tolist())}
     chosen = sorted({0, len(tracks) - 1})[:SAMPLED_TRACKS]
     places = np.repeat([numbers[tracks[k].id] for k in chosen], SAMPLED_LOOPS)
-    loop = close_loop(repeated(course, places), replace(model, samples=1), execute, seed)
+    loop = close_loop(repeated(course, places), one_sample, execute, seed)
     poses = loop.poses.reshape(len(chosen), SAMPLED_LOOPS, *loop.poses.shape[1:])
     result = list(tracks)
     for k, sampled in zip(chosen, poses, strict=True):

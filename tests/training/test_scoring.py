@@ -17,6 +17,7 @@ from candata.training import metrics, scoring
 from candata.training.forecasters import BASELINES, ForecastArrays, KeepsVelocity, Stays
 from candata.training.poses import position_error
 from candata.training.rollout import close_loop, course, evenly_ranked
+from tests.training.conftest import gliding
 
 SPEED_M_S = float(np.linalg.norm([0.05, -0.02, 0.01]))
 
@@ -247,3 +248,62 @@ def test_tracks_begin_with_the_row_last_observed(glide):
 def test_the_episodes_shown_are_spread_from_worst_to_best():
     assert evenly_ranked([5.0, 1.0, 3.0, 2.0, 4.0], 3) == [1, 2, 0]
     assert evenly_ranked([1.0], 4) == [0]
+
+
+def test_entrants_of_other_histories_follow_the_same_episodes_from_the_same_row(glide):
+    """A loop begins where the longest history is whole, whoever follows it."""
+    drifts = Drifts()
+    entrants = {
+        "short": scoring.Entrant(drifts, replace(glide, history=2, horizon=3), 3),
+        "long": scoring.Entrant(Oracle(), glide, 6),
+        "stays": scoring.Entrant(Stays(), glide, 6),
+    }
+    found = scoring.score(glide, entrants, 0)
+    assert found.begins_after == 4
+    assert found.rows == score(glide, BASELINES, 3, 0).rows
+    assert {len(found.windows[name].position_error_m) for name in ("short", "long")} == {3, 6}
+    first_chunk = drifts.seen[1]
+    assert first_chunk["history/object_pose"].shape[1] == 2
+    assert first_chunk["row"].tolist() == [6] * 4
+    assert found.closed_loop["long"].final_position_error_m < 1e-5
+    # A millimetre a step along x, from the same begin to the same end as all others.
+    steps = np.array([30, 31, 32, 33]) - 3
+    expected = [np.linalg.norm(k / 10 * np.array([0.05, -0.02, 0.01]) - [0.001 * k, 0, 0]) for k in steps]
+    assert found.closed_loop["short"].final_position_error_m == pytest.approx(np.mean(expected), rel=1e-4)
+
+
+def test_long_loops_are_scored_at_their_time_over_the_episodes_that_are_so_long(glide):
+    found = score(glide, {"stays": Stays()}, 3, 0).closed_loop["stays"].long_loops
+    assert [(loop.time_s, loop.episodes) for loop in found] == [(2.0, 4), (5.0, 0), (10.0, 0)]
+    assert found[0].position_error_m == pytest.approx(2 * SPEED_M_S, rel=1e-4)
+    assert found[0].rotation_error_rad == pytest.approx(2 * 0.4, rel=1e-3)
+    assert found[1].position_error_m is found[1].adds_auc is None
+
+
+def test_groups_are_scored_apart_and_their_rows_counted(tmp_path):
+    folder = create_dataset(tmp_path / "two", name="two")
+    tasks = ("push", "push", None)
+    episodes = [gliding(f"e{k}", k, rows=61, task=task) for k, task in enumerate(tasks)]
+    still = dict(episodes[2].arrays) | {"object_pose": np.tile(episodes[2].arrays["object_pose"][:1], (61, 1))}
+    append(folder, [*episodes[:2], replace(episodes[2], arrays=still)], Lineage(operation="t"))
+    found = score(windows(open_dataset(folder), history=4, horizon=6, pad="both", step=2), {"stays": Stays()}, 3, 0)
+    tasks_found = found.breakdown["task"]
+    assert {name: (group.episodes, group.rows) for name, group in tasks_found.items()} == {
+        "not stated": (1, 27),
+        "push": (2, 54),
+    }
+    assert tasks_found["not stated"].scores["stays"].position_error_m == 0
+    mean_s = np.arange(1, 28).mean() / 10
+    assert tasks_found["push"].scores["stays"].position_error_m == pytest.approx(SPEED_M_S * mean_s, rel=1e-4)
+    assert "object" not in found.breakdown
+    phases = found.breakdown["phase"]
+    # Touched from row 30 of 61 at 20 Hz, never let go; loops have every second row from row 8 on.
+    assert {name: group.rows for name, group in phases.items()} == {"free": 33, "onset": 3, "sustained": 45}
+    assert phases["sustained"].scores["stays"].position_error_m > phases["free"].scores["stays"].position_error_m
+
+
+def test_the_mixed_mse_is_that_of_the_six_numbers_of_an_increment(glide):
+    stays = score(glide, {"stays": Stays()}, 3, 0).windows["stays"]
+    step = np.array([0.005, -0.002, 0.001, 0, 0, 0.04])
+    assert stays.increment_mse == pytest.approx((step**2).mean(), rel=1e-3)
+    assert score(glide, {"oracle": Oracle()}, 3, 0).windows["oracle"].increment_mse < 1e-12
