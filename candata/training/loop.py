@@ -173,14 +173,14 @@ def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path
     losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, progress.step))
     state.optimiser.zero_grad(set_to_none=True)
     losses["loss"].backward()
-    norm = torch.nn.utils.clip_grad_norm_(job.module.parameters(), settings.clip_norm)
+    norm = torch.nn.utils.clip_grad_norm_(job.module.parameters(), settings.clip_norm, foreach=True)
     is_finite = bool(torch.isfinite(losses["loss"]) & torch.isfinite(norm))
     if is_finite:
         for group in state.optimiser.param_groups:
             group["lr"] = settings.rate(progress.step, progress.elapsed_s)
         state.optimiser.step()
         updates = progress.step - progress.skipped
-        ema.update(state.average, job.module.state_dict(), updates, settings.ema_power)
+        ema.update(state.average, state.weights, updates, settings.ema_power)
         tally.add({name: float(value.detach()) for name, value in losses.items()}, float(norm))
     tally.steps += 1
     state.advance(
