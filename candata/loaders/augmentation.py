@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -10,6 +11,13 @@ from pydantic import Field
 from candata.loaders.gather import Array, Batch
 from candata.rotation import exp
 from candata.schema.record import Record
+
+
+class Normals(Protocol):
+    """What draws standard normal numbers, as `numpy.random.Generator` does."""
+
+    def standard_normal(self, size: tuple[int, ...], dtype: Any = ...) -> Any:
+        """Return `size` numbers."""
 
 
 class Augmentation(Record):
@@ -39,7 +47,7 @@ class Augmentation(Record):
         return not (self.position_m or self.rotation_rad or self.command)
 
 
-def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.random.Generator) -> Batch:
+def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: Normals) -> Batch:
     """Return the batch with noise; the one given stays as it is.
 
     - The pose of the object: one shift d and one turn delta a window, the same for all rows of past and
@@ -56,7 +64,7 @@ def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.rand
         As `Windows.batch` or a resident gather gives it.
     augmentation : Augmentation
         Standard deviations of the noise.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, or what draws like it
         `noise(seed, step, rank)` makes a step's noise a function of these three.
     """
     out = dict(batch)

@@ -23,7 +23,7 @@ def as_image(x: Tensor) -> Tensor:
     return x.unsqueeze(2).contiguous(memory_format=torch.channels_last)
 
 
-def channels_last(weight: nn.Parameter) -> nn.Parameter:
+def channels_last(weight: Tensor) -> nn.Parameter:
     """Return the weights `(a, b, kernel)` with b last in memory, as a convolution of images takes them: no copies."""
     return nn.Parameter(weight.detach().transpose(1, 2).contiguous().transpose(1, 2))
 

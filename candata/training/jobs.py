@@ -23,6 +23,7 @@ from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
 from candata.training.loop import TrainingJob
+from candata.training.processes import ALONE, Processes
 from candata.training.settings import Run, TrainingSettings
 
 #: Windows when nothing is asked for.
@@ -70,7 +71,11 @@ class TrainRequest:
 
 
 def prepare(
-    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: TrainingSettings, device: str = "cpu"
+    data: Dataset | Mapping[str, Dataset],
+    request: TrainRequest,
+    settings: TrainingSettings,
+    device: str = "cpu",
+    processes: Processes = ALONE,
 ) -> TrainingJob:
     """Return the job.
 
@@ -84,12 +89,14 @@ def prepare(
         How.
     device : str
         `cpu` or `cuda`.
+    processes : Processes
+        Those that train together; this one alone by default.
 
     Raises
     ------
     UsageError
-        When a setting means nothing, the mixture does not fit the datasets, or the checkpoint of `init` is of another
-        model, hand or window.
+        When a setting means nothing, the batch does not divide among the processes, the mixture does not fit the
+        datasets, or the checkpoint of `init` is of another model, hand or window.
     DataError
         When a dataset lacks a channel, its split's `train` is empty, no episode is as long as the horizon, or datasets
         to mix differ.
@@ -117,11 +124,12 @@ def prepare(
     return TrainingJob(
         run,
         module,
-        feed.drawing(train, settings, device),
+        feed.drawing(train, settings, device, processes),
         batches,
         device,
         training_data.split_record(),
         _effective(train, run),
+        processes,
     )
 
 
