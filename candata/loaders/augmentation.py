@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +14,13 @@ from candata.schema.record import Record
 
 #: Entries of a batch that move with the object.
 _MOVED = {"history/object_pose", "future/object_pose", "simulated/object_pose"}
+
+
+class Normals(Protocol):
+    """What draws standard normal numbers, as `numpy.random.Generator` does."""
+
+    def standard_normal(self, size: tuple[int, ...], dtype: Any = ...) -> Any:
+        """Return `size` numbers."""
 
 
 class Augmentation(Record):
@@ -42,7 +50,7 @@ class Augmentation(Record):
         return not (self.position_m or self.rotation_rad or self.command)
 
 
-def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.random.Generator) -> Batch:
+def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: Normals) -> Batch:
     """Return the batch with noise; the one given stays as it is.
 
     - The pose of the object: one shift d and one turn delta a window, the same for all rows of past and
@@ -60,7 +68,7 @@ def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.rand
         As `Windows.batch` or a resident gather gives it.
     augmentation : Augmentation
         Standard deviations of the noise.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, or what draws like it
         `noise(seed, step, rank)` makes a step's noise a function of these three.
     """
     out = dict(batch)

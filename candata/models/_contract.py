@@ -62,7 +62,11 @@ class Module(Protocol):
     """The torch module that `Model.build` returns (beside being a `torch.nn.Module`)."""
 
     def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
-        """Return the terms of the loss; noise is drawn from `generator`."""
+        """Return the terms of the loss, means over the batch; noise is drawn from `generator`.
+
+        With `masked_mean`, and noise from `candata.models.normal`, `uniform` and `integers`, several processes that
+        share a batch train as one.
+        """
 
     def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
         """Return `samples` forecasts; `steps` sampling steps where the model samples."""

@@ -15,6 +15,7 @@ from candata.models._config import HistoryConfig
 from candata.models._contract import Batch, Sizes
 from candata.models._kinematics import Fingertips
 from candata.models._poses import increments, rotation_matrix, targets
+from candata.models._sharing import mean_count
 
 #: Divides distances from hand to object, so that those at hand are of size one [m]. A round number.
 HAND_SCALE_M = 0.1
@@ -230,9 +231,9 @@ def known_steps(batch: Batch) -> Tensor:
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
-    """Return the mean of `values` where `mask`; 0 where it is nowhere."""
+    """Return the mean of `values` where `mask`; 0 where it is nowhere. In a share the mask is that of all processes."""
     masked_values = torch.where(mask, values, torch.zeros_like(values))
-    return masked_values.sum() / mask.sum().clamp_min(1)
+    return masked_values.sum() / mean_count(mask.sum())
 
 
 def turn_points(poses: Tensor, points: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from candata.errors import SetupError
 from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
+from candata.training.processes import ALONE, Processes
 from candata.training.settings import TrainingSettings
 from candata.training.simulated import SimulatedWindows
 
@@ -29,21 +31,43 @@ def clouds_of(windows: AnyWindows, device: str) -> torch.Tensor:
     return torch.from_numpy(windows.clouds).to(device)
 
 
-def drawing(windows: AnyWindows, settings: TrainingSettings, device: str) -> Callable[[int], Batch]:
+def drawing(
+    windows: AnyWindows, settings: TrainingSettings, device: str, processes: Processes = ALONE
+) -> Callable[[int], Batch]:
     """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
 
-    On a GPU the rows are resident there, where they fit.
+    On a GPU the rows are resident there, where they fit. Of several processes each takes its rows of the batch.
+
+    Raises
+    ------
+    UsageError
+        When the batch does not divide among the processes.
     """
-    sampler, clouds = windows.sampler(settings.batch, settings.seed), clouds_of(windows, device)
+    rows, clouds = processes.rows(settings.batch), clouds_of(windows, device)
+    sampler = windows.sampler(rows, settings.seed, processes.rank, processes.world)
     source = _source(windows, device)
 
     def draw(step: int) -> Batch:
         batch = source.batch(sampler.indices(step))
         if not settings.augment.is_off:
-            batch = augment(batch, settings.augment, noise(settings.seed, step))
+            batch = augment(batch, settings.augment, _Normals(noise(settings.seed, step), processes))
         return batch | {"clouds": clouds} if isinstance(source, Gather) else tensors(batch, clouds, device)
 
     return draw
+
+
+@dataclass(frozen=True)
+class _Normals:
+    """Draws noise for the rows of all processes, and gives those of this one."""
+
+    rng: np.random.Generator
+    processes: Processes
+
+    def standard_normal(self, size: tuple[int, ...], dtype: type[np.floating] = np.float64) -> NDArray:
+        """Return `size` numbers, the first axis being the rows."""
+        rows, first = size[0], size[0] * self.processes.rank
+        whole = self.rng.standard_normal((rows * self.processes.world, *size[1:]), dtype)  # type: ignore[arg-type]
+        return whole[first : first + rows]
 
 
 def held_out(windows: AnyWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:

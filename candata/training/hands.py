@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from candata.datasets import Dataset
@@ -35,7 +36,8 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
         return config, ()
     facts = [parse_json(text) for dataset in datasets for text in dataset.catalog(["meta"])["meta"].to_pylist()]
     if scene is not None:
-        hand = _hand(scene, facts)
+        base, mark, _ = scene.rpartition(OBJECT_MARK)
+        hand = _hand(base if mark and not Path(scene).exists() else scene, facts)
     else:
         named_scenes = [str(fields["scene"]) for fields in facts if fields.get("scene") is not None]
         if not named_scenes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
 from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
+from candata.training.processes import ALONE, Processes
 from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
@@ -83,6 +85,7 @@ def prepare(
     request: TrainRequest,
     settings: TrainingSettings,
     device: str = "cpu",
+    processes: Processes = ALONE,
     simulating: simulated.Progress = lambda _done, _total: None,
 ) -> TrainingJob:
     """Return the job.
@@ -97,14 +100,16 @@ def prepare(
         How.
     device : str
         `cpu` or `cuda`.
+    processes : Processes
+        Those that train together; this one alone by default.
     simulating : callable
         Called with (windows done, windows in all) while the simulator forecasts the windows of a model that reads it.
 
     Raises
     ------
     UsageError
-        When a setting means nothing, the mixture does not fit the datasets, or the checkpoint of `init` is of another
-        model, hand or window.
+        When a setting means nothing, the batch does not divide among the processes, the mixture does not fit the
+        datasets, or the checkpoint of `init` is of another model, hand or window.
     DataError
         When a dataset lacks a channel, its split's `train` is empty, no episode is as long as the horizon, or datasets
         to mix differ.
@@ -128,6 +133,7 @@ def prepare(
     if simulation is not None:
         train = simulated.thinned(train)
     run = _run(training_data, request, settings, name, config, train, initial, simulation)
+    make_simulated = partial(run_simulator.simulated_feed, run=run, processes=processes, simulating=simulating)
     module = build(run, device)
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
@@ -136,18 +142,17 @@ def prepare(
         held_out = training_data.feed(validation_names, "val", reads, window_options)
         if simulation is not None:
             held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
-        batches = feed.held_out(
-            run_simulator.simulated_feed(held_out, run, simulating), settings.batch, HELD_OUT_BATCHES, device
-        )
+        batches = feed.held_out(make_simulated(held_out), settings.batch, HELD_OUT_BATCHES, device)
     return TrainingJob(
         run,
         module,
-        feed.drawing(run_simulator.simulated_feed(train, run, simulating), settings, device),
+        feed.drawing(make_simulated(train), settings, device, processes),
         batches,
         device,
         training_data.split_record(),
         _effective(train, run),
         notes,
+        processes,
     )
 
 

@@ -10,6 +10,7 @@ from candata.models import model as find_model
 from candata.schema.effect import EffectSetting
 from candata.training.checkpoint import Checkpoint
 from candata.training.episode_scenes import episode_scenes
+from candata.training.processes import Processes
 from candata.training.settings import Run, RunSimulator
 from candata.training.simulated import Progress, SimulatedWindows, simulated_windows
 from candata.training.simulator import Simulator, simulator
@@ -65,14 +66,14 @@ def stated(
 
 
 def simulated_feed(
-    windows: Windows | MixedWindows, run: Run, simulating: Progress
+    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress
 ) -> Windows | MixedWindows | SimulatedWindows:
     """Return the windows with the forecasts of the run's simulator, where it has one."""
     facts = run.simulator
     if facts is None:
         return windows
     build = partial(simulator, scene=facts.scene, effects=facts.effects)
-    return simulated_windows(windows, build, simulating)
+    return simulated_windows(windows, build, simulating, first_share=processes.rank / processes.world)
 
 
 def trained_simulator(

@@ -10,7 +10,7 @@ import hashlib
 import json
 import shutil
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -110,6 +110,7 @@ def simulated_windows(
     build: Callable[[Windows], Simulator],
     progress: Progress = lambda _done, _total: None,
     folder: Path | None = None,
+    first_share: float = 0.0,
 ) -> SimulatedWindows:
     """Return the windows with the simulator's forecasts, made now where they are not kept.
 
@@ -123,6 +124,8 @@ def simulated_windows(
         Called with (windows done, windows in all) of each source while it is simulated.
     folder : Path, optional
         Where forecasts are kept; the user's cache folder by default.
+    first_share : float
+        Where among the chunks to begin: processes that begin apart share the work.
 
     Raises
     ------
@@ -131,74 +134,95 @@ def simulated_windows(
     """
     sources = feed.sources if isinstance(feed, MixedWindows) else (feed,)
     home = user_cache() if folder is None else folder
-    return SimulatedWindows(feed, tuple(_forecasts(source, build(source), home, progress) for source in sources))
+    return SimulatedWindows(
+        feed, tuple(_forecasts(source, build(source), home, progress, first_share) for source in sources)
+    )
 
 
-def _forecasts(feed: Windows, forecaster: Simulator, home: Path, progress: Progress) -> NDArray[np.float32]:
+def _forecasts(
+    feed: Windows, forecaster: Simulator, home: Path, progress: Progress, first_share: float
+) -> NDArray[np.float32]:
     """Return the forecasts `(n, H, 8)` of all windows, memory-mapped."""
-    name, shape = f"simulated-{_key(feed, forecaster)}", (len(feed), feed.horizon, WIDTH)
-    standing = _checked(home, name, shape)
-    if standing is None:
-        chunks = home / f"{name}-chunks"
-        for done_count in _make_chunks(feed, forecaster, chunks):
-            progress(done_count, len(feed))
-        _join(home, name, chunks, shape)
-        shutil.rmtree(chunks, ignore_errors=True)
-        standing = _checked(home, name, shape)
-    if standing is None:
-        raise SetupError("the simulator's forecasts were damaged while they were written", found=str(home / name))
+    target = _Kept(home, f"simulated-{_key(feed, forecaster)}", (len(feed), feed.horizon, WIDTH))
+    standing = target.read()
+    while standing is None:
+        folder = home / f"{target.name}-chunks"
+        chunks = [
+            _Kept(folder, f"{number:05d}", (min(CHUNK, len(feed) - first), feed.horizon, WIDTH))
+            for number, first in enumerate(range(0, len(feed), CHUNK))
+        ]
+        begin = round(first_share * len(chunks))
+        for done_count, number in enumerate([*range(begin, len(chunks)), *range(begin)], 1):
+            if chunks[number].read() is None and target.read() is None:
+                values = _simulated(feed, forecaster, number * CHUNK, chunks[number].shape[0])
+                try:
+                    chunks[number].write(values)
+                except SetupError:
+                    if target.read() is None:  # else another process has joined the chunks meanwhile
+                        raise
+            progress(min(done_count * CHUNK, len(feed)), len(feed))
+        parts = [chunk.read() for chunk in chunks]
+        if all(part is not None for part in parts):
+            target.write(np.concatenate([part for part in parts if part is not None]))
+        # Where a chunk has gone, another process has joined them.
+        standing = target.read()
+        shutil.rmtree(folder, ignore_errors=True)
     return standing
 
 
-def _make_chunks(feed: Windows, forecaster: Simulator, folder: Path) -> Iterator[int]:
-    """Make the chunks that are not there, and yield how many windows are done after each."""
-    for number, first in enumerate(range(0, len(feed), CHUNK)):
-        members = np.arange(first, min(first + CHUNK, len(feed)))
-        name, shape = f"{number:05d}", (len(members), feed.horizon, WIDTH)
-        if _checked(folder, name, shape) is None:
-            simulated = forecaster.simulate(feed.batch(members))
-            values = np.concatenate([simulated.object_pose, simulated.contact[..., None]], axis=-1)
-            _save(folder, name, values.astype(np.float32))
-        yield int(members[-1]) + 1
+def _simulated(feed: Windows, forecaster: Simulator, first: int, count: int) -> NDArray[np.float32]:
+    """Return the forecasts `(count, H, 8)` of windows from number `first` on."""
+    simulated = forecaster.simulate(feed.batch(np.arange(first, first + count)))
+    return np.concatenate([simulated.object_pose, simulated.contact[..., None]], axis=-1).astype(np.float32)
 
 
-def _join(home: Path, name: str, chunks: Path, shape: tuple[int, ...]) -> None:
-    """Write all chunks as one file."""
-    joined = np.empty(shape, np.float32)
-    for number, first in enumerate(range(0, len(joined), CHUNK)):
-        part = joined[first : first + CHUNK]
-        chunk = _checked(chunks, f"{number:05d}", part.shape)
-        if chunk is None:
-            raise SetupError("a chunk of the simulator's forecasts has gone", found=str(chunks), fix="run this again")
-        part[:] = chunk
-    _save(home, name, joined)
+@dataclass(frozen=True)
+class _Kept:
+    """An array on disk under a name, its check sum in the file's own; whole or not there.
 
+    Attributes
+    ----------
+    folder : Path
+        Where it lies.
+    name : str
+        What it is called.
+    shape : tuple of int
+        Its shape.
+    """
 
-def _save(folder: Path, name: str, values: NDArray[np.float32]) -> None:
-    """Write an array whole or not at all, its check sum in the file's name; damaged ones of the name go."""
-    damaged = list(folder.glob(f"{name}-*.npy")) if folder.is_dir() else []
-    with replacing(folder / f"{name}-{_crc(values):08x}.npy", "simulator's forecasts") as draft:
-        np.save(draft, values, allow_pickle=False)
-    for path in damaged:
-        if path.name != f"{name}-{_crc(values):08x}.npy":
-            path.unlink(missing_ok=True)
+    folder: Path
+    name: str
+    shape: tuple[int, ...]
 
+    def read(self) -> NDArray[np.float32] | None:
+        """Return the array, memory-mapped; None where there is none that is what was written."""
+        for path in self.folder.glob(f"{self.name}-*.npy"):
+            try:
+                values = np.load(path, mmap_mode="r", allow_pickle=False)
+            except (OSError, ValueError):
+                continue
+            if values.shape == self.shape and values.dtype == np.float32 and path.name == self._file_name(values):
+                return np.asarray(values)
+        return None
 
-def _checked(folder: Path, name: str, shape: tuple[int, ...]) -> NDArray[np.float32] | None:
-    """Return the array of a name, memory-mapped; None where there is none that is what was written."""
-    for path in folder.glob(f"{name}-*.npy"):
-        try:
-            values = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError):
-            continue
-        if values.shape == shape and values.dtype == np.float32 and path.stem == f"{name}-{_crc(values):08x}":
-            return np.asarray(values)
-    return None
+    def write(self, values: NDArray[np.float32]) -> None:
+        """Write the array; damaged ones of its name go.
 
+        Raises
+        ------
+        SetupError
+            When it cannot be written.
+        """
+        path = self.folder / self._file_name(values)
+        others = set(self.folder.glob(f"{self.name}-*.npy")) - {path}
+        with replacing(path, "simulator's forecasts") as draft:
+            np.save(draft, values, allow_pickle=False)
+        for other in others:
+            other.unlink(missing_ok=True)
 
-def _crc(values: NDArray[np.float32]) -> int:
-    """Return the check sum of an array's bytes."""
-    return zlib.crc32(np.ascontiguousarray(values).view(np.uint8).data)
+    def _file_name(self, values: NDArray[np.float32]) -> str:
+        """Return the name of the file that holds these values."""
+        return f"{self.name}-{zlib.crc32(np.ascontiguousarray(values).view(np.uint8).data):08x}.npy"
 
 
 def _key(feed: Windows, forecaster: Simulator) -> str:
