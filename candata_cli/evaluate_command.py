@@ -13,6 +13,7 @@ from candata_cli.outputs import check_output
 from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
+    from candata.datasets import Dataset
     from candata.schema.effect import EffectsFile
 
 Targets = Annotated[
@@ -89,29 +90,19 @@ def evaluate(
 
     set_threads(threads)
     effects_file = _effects(effects)
-    scene_name = scene or _scene_of(effects_file, effects)
-    joints_from: Any = joints
-    settings = EvaluationSettings(
-        split,
-        samples,
-        steps,
-        execute,
-        seed,
-        device,
-        baselines=baselines,
-        simulator=simulator,
-        scene=scene_name,
-        effects=effects_file.effects if effects_file else None,
-        joints=joints_from,
-        threads=threads or 1,
-    )
+    others: dict[str, Any] = {"baselines": baselines, "simulator": simulator, "joints": joints, "threads": threads or 1}
+    repair = effects_file.effects if effects_file else None
     with console.stages() as stage:
         dataset = console.open_named(str(data), version)
+        scene_name = scene or _repaired_scene(effects_file, effects, dataset)
+        settings = EvaluationSettings(
+            split, samples, steps, execute, seed, device, scene=scene_name, effects=repair, **others
+        )
         evaluation, tracks = judge(run_paths, dataset, settings, stage)
         stage("drawing the episodes")
         page = write_evaluation(evaluation, tracks, folder, films(evaluation, dataset, tracks))
-    if effects_file and effects and scene:
-        note_other_scene(effects_file, effects, _digest(scene))
+    if scene:
+        _note_other_scene(effects_file, effects, scene)
     console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
     console.note(f"page: {page}")
 
@@ -133,17 +124,21 @@ def _effects(path: Path | None) -> EffectsFile | None:
     return read_effects(path)
 
 
-def _scene_of(effects_file: EffectsFile | None, path: Path | None) -> str | None:
-    """Return the scene that the repair was made for, where it names one."""
+def _repaired_scene(effects_file: EffectsFile | None, path: Path | None, dataset: Dataset) -> str | None:
+    """Return the scene that the repair was made for; None where it names none, or all episodes name their own."""
     if effects_file is None or path is None or effects_file.scene is None:
+        return None
+    if None not in dataset.catalog(["scene"])["scene"].to_pylist():
         return None
     from candata.effects import scene_of
 
     return scene_of(effects_file, path)
 
 
-def _digest(scene: str) -> str:
-    """Return the digest of a scene."""
+def _note_other_scene(effects_file: EffectsFile | None, path: Path | None, scene: str) -> None:
+    """Say that the repair was made for another scene than the one it is played in."""
+    if effects_file is None or path is None:
+        return
     from candata.scenes import load_scene
 
-    return load_scene(scene).digest
+    note_other_scene(effects_file, path, load_scene(scene).digest)

@@ -156,13 +156,14 @@ def _tried(cell: Cell, trials: _Trials, folder: Path) -> tuple[float, float, flo
     key = str({name: cell.settings[name] for name in kept})
     if key not in trials.runs:
         trials.stage(f"trying {cell.settings['model']}")
-        trials.runs[key] = _trial(cell.settings, _trial_set(trials, folder), folder / f"run-{len(trials.runs)}")
+        trials.runs[key] = _trial(cell, _trial_set(trials, folder), folder / f"run-{len(trials.runs)}")
     return trials.runs[key]
 
 
-def _trial(settings: Mapping[str, Any], dataset: Dataset, folder: Path) -> tuple[float, float, float]:
+def _trial(cell: Cell, dataset: Dataset, folder: Path) -> tuple[float, float, float]:
     """Return what a short run and its evaluation took."""
-    request = train_request({**settings, "mixture": None})
+    settings = cell.settings
+    request = train_request({**settings, "mixture": None}, cell.places.get("scene"))
     short = training_settings({**settings, "steps": TRIAL_STEPS}).model_copy(update={"log_every": TRIAL_STEPS // 3})
     rates: list[float] = []
     train(prepare(dataset, request, short), folder, lambda report: rates.append(report.windows_per_s))

@@ -326,7 +326,7 @@ def configured(model: Model, entry: ModelEntry, seed: int) -> Any:
 
 def _needs_simulator(model_name: str) -> bool:
     """Tell whether a model's input holds a simulator's forecast."""
-    return bool(getattr(find_model(model_name), "needs_simulator", False))
+    return find_model(model_name).needs_simulator
 
 
 def _count_word(count: int | None) -> str:

@@ -19,6 +19,7 @@ from candata.experiment.cells import Cell, CellRecord, cell_folder, read_cell, v
 from candata.experiment.config import Generation, SealedWorld
 from candata.gap import Diagnosis, diagnose
 from candata.loaders import parse_mixture
+from candata.models import model as find_model
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json
@@ -208,8 +209,13 @@ def training_settings(settings: Mapping[str, Any]) -> TrainingSettings:
     return TrainingSettings.model_validate(given | rhythm)
 
 
-def train_request(settings: Mapping[str, Any], init: Path | None = None) -> TrainRequest:
-    """Return what a training cell trains."""
+def train_request(
+    settings: Mapping[str, Any],
+    scene: str | None,
+    init: Path | None = None,
+    effects: tuple[EffectSetting, ...] | None = None,
+) -> TrainRequest:
+    """Return what a training cell trains; `scene` and `effects` are of a model that reads a simulator."""
     mixture = settings["mixture"]
     text = None if mixture is None else ",".join(f"{name}:{share:g}" for name, share in mixture.items())
     return TrainRequest(
@@ -218,6 +224,8 @@ def train_request(settings: Mapping[str, Any], init: Path | None = None) -> Trai
         config=None if init else settings["config"],
         init=init,
         mixture=None if text is None else parse_mixture(text),
+        scene=scene,
+        effects=effects,
         **settings["windows"],
     )
 
@@ -226,7 +234,9 @@ def _make_run(cell: Cell, folder: Path, inputs: Mapping[str, Path], threads: int
     """Return how far a run came, trained in `run` of the folder."""
     init = inputs["init"] / "run" if "init" in inputs else None
     data = {role: _dataset_at(inputs[role]) for role in ("data", "sim", "real") if role in inputs}
-    request = train_request(cell.settings, init)
+    has_simulator = find_model(cell.settings["model"]).needs_simulator
+    effects = _repair(inputs) if has_simulator else None
+    request = train_request(cell.settings, cell.places.get("scene"), init, effects)
     job = prepare(data.get("data") or data, request, training_settings(cell.settings))
     progress = train(job, folder / "run")
     return {"steps": progress.step, "best_step": progress.best_step, "skipped": progress.skipped}

@@ -31,6 +31,11 @@ class HistoryConfig(Record):
         Whether the past of the hand contact is read.
     fingertip_contact : bool
         Whether the past contact of each fingertip is read too.
+    fingertip_points : bool
+        Whether it is read where the fingertips were and, with planned actions, where these will put them, relative to
+        the object's present position. Nothing is read without `hand`.
+    hand : HandKinematics or None
+        How the joints move the fingertips. `candata train` reads it off the scene that the recordings name.
     """
 
     seed: int = Field(default=0, ge=0, lt=2**64)
@@ -38,6 +43,13 @@ class HistoryConfig(Record):
     world_position: bool = True
     contact_history: bool = False
     fingertip_contact: bool = False
+    fingertip_points: bool = True
+    hand: HandKinematics | None = None
+
+    @property
+    def reads_hand(self) -> bool:
+        """Whether `hand` is of use."""
+        return self.fingertip_points
 
 
 class MlpConfig(HistoryConfig):
@@ -82,6 +94,11 @@ class ParticleConfig(Record):
     unrolled_steps: int = Field(default=5, ge=1)
     friction: float = Field(default=0.5, ge=0)
     random_yaw: bool = True
+
+    @property
+    def reads_hand(self) -> bool:
+        """Whether `hand` is of use."""
+        return True
 
 
 class UnetConfig(HistoryConfig):
@@ -196,7 +213,7 @@ class ContactConfig(DiffusionConfig):
 
 
 #: Fields of `unet` that differ from the defaults, by preset. `small` trains usefully in minutes on two cores; `paper`
-#: reads only past actions and turns the cloud with the pose, as arXiv 2601.12796 says.
+#: reads only past actions, no fingertips, and turns the cloud with the pose, as arXiv 2601.12796 says.
 UNET_PRESETS: Mapping[str, Mapping[str, Any]] = {
     "small": {
         "latent": 128,
@@ -206,7 +223,7 @@ UNET_PRESETS: Mapping[str, Mapping[str, Any]] = {
         "widths": (32, 64, 128),
     },
     "base": {},
-    "paper": {"widths": (256, 512, 1024), "planned_actions": False, "cloud": "world"},
+    "paper": {"widths": (256, 512, 1024), "planned_actions": False, "fingertip_points": False, "cloud": "world"},
 }
 #: The same for the models that denoise; `paper` forecasts the noise, as arXiv 2601.12796 says.
 DIFFUSION_PRESETS: Mapping[str, Mapping[str, Any]] = {

@@ -19,8 +19,8 @@ from candata.training.results import REPAIRED, SIMULATOR, Evaluation, Scores, Tr
 
 #: Classes of the forecasters' marks, in the order of an evaluation's rows.
 CSS_CLASSES = tuple(f"forecaster{number}" for number in range(8))
-#: Coordinates of sampled loops: title, unit of the axis.
-COORDINATES = ("x [cm]", "y [cm]", "z [cm]", "angle turned since the loop began [°]")
+#: Coordinates of sampled loops, and the least range of their axes, so that noise at rest does not fill a chart.
+COORDINATES = {"x [cm]": 2.0, "y [cm]": 2.0, "z [cm]": 2.0, "angle turned since the loop began [°]": 10.0}
 
 
 def forecaster_classes(forecasters: Mapping[str, object]) -> dict[str, str]:
@@ -117,8 +117,10 @@ def sampled_loops(track: Track, name: str, forecasters: Mapping[str, object]) ->
     rows += [(classes[name], _coordinates(track.poses[name], track.truth[0]))]
     rows += [("truth", _coordinates(track.truth, track.truth[0]))]
     x, charts = linear_axis(times, 6, " s"), []
-    for k, title in enumerate(COORDINATES):
-        y = linear_axis([v for _, values in rows for v in values[k]], 5)
+    for k, (title, least_range) in enumerate(COORDINATES.items()):
+        begin = rows[-1][1][k][0]
+        ends = (begin - least_range / 2, begin + least_range / 2)
+        y = linear_axis([v for _, values in rows for v in values[k]], 5, include=ends)
         marks = join_markup(line(x, y, times, values[k], css_class) for css_class, values in rows)
         charts.append((title, chart(x, y, marks, f"{title} of sampled loops in {track.id}", 110)))
     return charts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from candata.datasets import Dataset
@@ -20,7 +21,7 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
     Parameters
     ----------
     config : Record
-        Of a model; one with a field `hand` that is None gets it.
+        Of a model; one that `reads_hand` gets it where its `hand` is None.
     datasets : iterable of Dataset
         What is trained on; the first scene that they name is taken.
     scene : str or None
@@ -31,11 +32,12 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
     CandataError
         When `scene` is given and is not there, or not of the hand of the data.
     """
-    if getattr(config, "hand", True) is not None:
+    if not getattr(config, "reads_hand", False) or config.hand is not None:
         return config, ()
     facts = [parse_json(text) for dataset in datasets for text in dataset.catalog(["meta"])["meta"].to_pylist()]
     if scene is not None:
-        hand = _hand(scene, facts)
+        base, mark, _ = scene.rpartition(OBJECT_MARK)
+        hand = _hand(base if mark and not Path(scene).exists() else scene, facts)
     else:
         named_scenes = [str(fields["scene"]) for fields in facts if fields.get("scene") is not None]
         if not named_scenes:

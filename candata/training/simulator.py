@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from candata.loaders import Windows
 from candata.loaders.increments import increments
+from candata.loaders.simulated import simulated_keys
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import Observer, rollout
@@ -89,6 +90,11 @@ class Simulator:
         future = ~np.asarray(batch["future_pad"])
         steps = np.where(future.any(1), future.shape[1] - future[:, ::-1].argmax(1), 0)
         return self._simulate(batch, steps, future.shape[1])
+
+    def keys(self, batch: Batch) -> dict[str, NDArray[np.float32]]:
+        """Return what a model reads of the simulator: `simulated/object_pose`, `simulated/contact` of a batch."""
+        simulated = self.simulate(batch)
+        return simulated_keys(simulated.object_pose, simulated.contact)
 
     def _simulate(self, batch: Batch, steps: NDArray[np.int64], horizon: int) -> SimulatedArrays:
         """Return the simulated poses of `steps (B,)` model steps, up to the same number for all."""

@@ -63,5 +63,5 @@ def test_a_scene_of_another_hand_is_refused(tmp_path, dataset):
 
 
 def test_a_model_that_reads_no_hand_asks_for_none(dataset):
-    config = jobs.find_model("mlp").presets["small"]
+    config = jobs.find_model("mlp").presets["paper"]
     assert with_hand(config, [dataset()], None) == (config, ())

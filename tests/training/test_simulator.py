@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets import open_dataset
 from candata.errors import DataError, RateError, UsageError
 from candata.loaders import windows
 from candata.loaders.increments import integrate
 from candata.schema.effect import EffectSetting
-from candata.schema.episode import Episode
-from candata.schema.manifest import Lineage
 from candata.simulate.generate import generate
 from candata.training.poses import position_error
 from candata.training.rollout import at_rows, close_loop, course
@@ -28,14 +26,6 @@ HEAVY_AND_LATE = (
 
 def gripper_windows(folder, horizon=8, **options):
     return windows(folder, channels=CHANNELS, history=4, horizon=horizon, pad="both", step=5, **options)
-
-
-@pytest.fixture(scope="module")
-def nominal(tmp_path_factory):
-    """Episodes of a gripper without sensor noise."""
-    folder = tmp_path_factory.mktemp("nominal") / "data"
-    generate(folder, "gripper_tabletop", 3, 1, workers=1, noise=False, duration_s=1.6)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -58,17 +48,6 @@ def mean_error(feed, forecaster) -> float:
     batch = feed.batch(np.arange(len(feed)))
     poses = integrate(batch["history/object_pose"][:, -1], forecaster.forecast(batch, (0,)).increments[0])
     return float(position_error(poses, batch["future/object_pose"])[~batch["future_pad"]].mean())
-
-
-def rewritten(folder, source, change, **meta):
-    """A dataset of the same episodes with some arrays or facts changed."""
-    root = create_dataset(folder)
-    episodes = [
-        Episode(episode.meta.model_copy(update=meta), dict(episode.arrays) | change(episode))
-        for episode in open_dataset(source).episodes()
-    ]
-    append(root, episodes, Lineage(operation="test"))
-    return open_dataset(root)
 
 
 def test_in_the_scenes_own_world_it_forecasts_what_was_recorded(nominal):
@@ -94,7 +73,7 @@ def test_touch_is_told_as_contact(nominal):
     assert ((contact == 1) == batch["future/contact"])[is_known].mean() > 0.9
 
 
-def test_what_was_recorded_after_the_present_is_not_read_but_for_commands(nominal, tmp_path):
+def test_what_was_recorded_after_the_present_is_not_read_but_for_commands(nominal, tmp_path, rewritten):
     row = 40
 
     def other_future(episode):
@@ -151,7 +130,7 @@ def test_poses_that_a_closed_loop_made_are_where_it_starts(nominal):
     assert (fallen[:, -1, 2] < fallen[:, 0, 2] - 0.1).all()
 
 
-def test_a_gap_in_the_past_is_bridged(nominal, tmp_path):
+def test_a_gap_in_the_past_is_bridged(nominal, tmp_path, rewritten):
     def gap(episode):
         valid = ~np.isin(np.arange(len(episode)), [22, 23, 24, 25, 26])
         pose = episode["object_pose"].copy()
@@ -178,13 +157,13 @@ def test_a_toss_flies_on(tosses, rate_hz):
 class TestRefusals:
     """What does not fit is refused before the first step, and says what to do."""
 
-    def test_recordings_without_a_scene(self, nominal, tmp_path):
+    def test_recordings_without_a_scene(self, nominal, tmp_path, rewritten):
         feed = gripper_windows(rewritten(tmp_path / "data", nominal, lambda _: {}, scene=None))
         with pytest.raises(UsageError, match="name no scene"):
             simulator(feed, None)
         assert isinstance(simulator(feed, "gripper_tabletop"), Simulator)
 
-    def test_a_scene_of_the_recordings_that_is_not_there(self, nominal, tmp_path):
+    def test_a_scene_of_the_recordings_that_is_not_there(self, nominal, tmp_path, rewritten):
         feed = gripper_windows(rewritten(tmp_path / "data", nominal, lambda _: {}, scene="gripper_tabletop+no_such"))
         with pytest.raises(UsageError, match="is not there"):
             simulator(feed, None)
@@ -193,18 +172,18 @@ class TestRefusals:
         with pytest.raises(DataError, match="does not fit scene xhand_tabletop"):
             simulator(gripper_windows(nominal), "xhand_tabletop")
 
-    def test_joints_in_another_order(self, nominal, tmp_path):
+    def test_joints_in_another_order(self, nominal, tmp_path, rewritten):
         names = open_dataset(nominal).episode(open_dataset(nominal).ids[0]).meta.joint_names
         feed = gripper_windows(rewritten(tmp_path / "data", nominal, lambda _: {}, joint_names=names[::-1]))
         with pytest.raises(DataError, match="another order"):
             simulator(feed, None)
 
-    def test_another_rate(self, nominal, tmp_path):
+    def test_another_rate(self, nominal, tmp_path, rewritten):
         feed = gripper_windows(rewritten(tmp_path / "data", nominal, lambda _: {}, rate_hz=40.0))
         with pytest.raises(RateError, match="not that of scene"):
             simulator(feed, None)
 
-    def test_another_object(self, nominal, tmp_path):
+    def test_another_object(self, nominal, tmp_path, rewritten):
         data = rewritten(tmp_path / "data", nominal, lambda _: {}, scene="gripper_tabletop+mug", object="mug")
         with pytest.raises(DataError, match="another object"):
             simulator(gripper_windows(data), "gripper_tabletop")
