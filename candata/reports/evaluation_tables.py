@@ -201,7 +201,7 @@ def models_table(evaluation: Evaluation) -> Table | None:
 
 def lead_time(evaluation: Evaluation, steps: int) -> str:
     """Return `1.6 s`."""
-    return f"{steps / evaluation.rate_hz:g} s"
+    return f"{steps / evaluation.rate_hz:.3g} s"
 
 
 def share(value: float | None) -> str:

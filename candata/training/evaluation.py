@@ -58,6 +58,8 @@ class EvaluationSettings:
         What closed loops feed the models as joints: `recorded`, or `servo`, a lag fitted on training episodes.
     threads : int
         Threads of the simulators.
+    history, horizon, rate_hz : int, int, float or None
+        Windows where no run says them; by default those that training takes.
     """
 
     group: str = "test"
@@ -72,6 +74,9 @@ class EvaluationSettings:
     effects: tuple[EffectSetting, ...] | None = None
     joints: JointsFrom = "recorded"
     threads: int = 1
+    history: int | None = None
+    horizon: int | None = None
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ def evaluate(
         evaluated_runs.refuse_seen(each, seen[each.name] or (), settings.group)
     evaluated_runs.check_scaled(evaluated, dataset, ids)
     stage("reading the dataset")
-    held_out = _windows(dataset, split, evaluated, settings.group)
+    held_out = _windows(dataset, split, evaluated, settings)
     entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
     execute = max((each.execute for each in evaluated), default=evaluated_runs.EXECUTE)
@@ -172,6 +177,13 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
             raise UnknownNameError(kind, word, words)
     if settings.simulator is False and (settings.scene or settings.effects is not None):
         raise UsageError("a scene or effects, and no simulator", fix="leave --no-simulator out")
+    stated_shape = [name for name in jobs.DEFAULT_SHAPE if getattr(settings, name) is not None]
+    if stated_shape and evaluated:
+        raise UsageError(
+            "the runs say what their windows are",
+            found=", ".join(f"--{name.replace('_', '-')}" for name in stated_shape),
+            fix="leave these options out: they are for an evaluation without runs",
+        )
     ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
     ranges += [("steps", settings.steps, each.run.config.get("train_steps")) for each in evaluated]
     ranges += [("execute", each.execute, each.run.sizes["horizon"]) for each in evaluated]
@@ -183,20 +195,20 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     jobs.check_device(settings.device)
 
 
-def _windows(dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], group: str) -> Windows:
+def _windows(
+    dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], settings: EvaluationSettings
+) -> Windows:
     """Return a window at every step of the models, with all that they and the scores read."""
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    sizes: list[Mapping[str, float]] = [each.run.sizes for each in evaluated] or [jobs.DEFAULT_SHAPE]
-    options: dict[str, Any] = {
-        "history": int(max(size["history"] for size in sizes)),
-        "horizon": int(max(size["horizon"] for size in sizes)),
-        "rate_hz": evaluated[0].run.rate_hz if evaluated else jobs.DEFAULT_SHAPE["rate_hz"],
-        "channels": channels_for(tuple(sorted(channels)), dataset),
-    }
-    if group != "all":
-        options |= {"split": group, "splits": split}
+    shape = {name: getattr(settings, name) or default for name, default in jobs.DEFAULT_SHAPE.items()}
+    if evaluated:
+        shape = {name: max(each.run.sizes[name] for each in evaluated) for name in ("history", "horizon")}
+        shape["rate_hz"] = evaluated[0].run.rate_hz
+    options: dict[str, Any] = {**shape, "channels": channels_for(tuple(sorted(channels)), dataset)}
+    if settings.group != "all":
+        options |= {"split": settings.group, "splits": split}
     full_windows = windows(dataset, **options)  # refuses a horizon that no episode holds
     return windows(dataset, pad="both", step=int(full_windows.stride[full_windows.owner].min()), **options)
 
