@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +16,7 @@ from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
-    from candata.training import Progress, TrainingJob, TrainingReport, TrainingSettings
+    from candata.training import Progress, TrainingJob, TrainingReport, TrainingSettings, TrainRequest
 
 #: Shortest time between two lines of progress [s].
 _EVERY_S = {True: 0.5, False: 10.0}
@@ -64,6 +64,14 @@ def train(
         Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
     ] = None,
     normaliser: Scaling = None,
+    scene: Annotated[
+        str | None,
+        typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
+    ] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads."),
+    ] = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
     command_noise: CommandNoise = 0,
@@ -75,34 +83,74 @@ def train(
     """Train a dynamics model; the same command goes on after a stop, to the bit on one CPU with --steps.
 
     Joints, actions, contact and object poses of the dataset's `train` episodes become windows at 10 Hz; the model
-    learns to forecast the object's motion. Ctrl-C saves.
+    learns to forecast the object's motion. Ctrl-C saves. `torchrun --nproc-per-node 2 -m candata_cli.main train ...`
+    shares each batch among processes, with the same result.
     """
     from candata.training.runs import refuse_foreign
 
     check_output(out, "folder")
     refuse_foreign(out)
     need_torch()
-    from candata.training import TrainRequest, prepare
-    from candata.training import train as run
+    from candata.effects import read_effects
+    from candata.training import TrainRequest
 
     set_threads(threads)
     noise = {"position_m": pose_noise_m, "rotation_rad": pose_noise_rad, "command": command_noise}
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
-    with console.stoppable(lambda: _saved_text(out), goes_on=True), console.stages() as stage:
+    repair = None if effects is None else read_effects(effects).effects
+    request = TrainRequest(
+        model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene, repair
+    )
+    _run(request, settings, {name: (path, version) for name, path in paths.items()}, out, device, json)
+
+
+def _simulating(stage: Callable[[str], None]) -> Callable[[int, int], None]:
+    """Return what tells how far the simulator's forecasts are."""
+    return lambda done_count, total: stage(f"simulating windows: {done_count:,} of {total:,}")
+
+
+def _run(
+    request: TrainRequest,
+    settings: TrainingSettings,
+    sources: Mapping[str, tuple[str, str | None]],
+    out: Path,
+    device: str,
+    json: bool,
+) -> None:
+    """Train on the sources, folder or name and version of each, and print what stands; one process speaks."""
+    from candata.training import prepare
+    from candata.training import train as train_job
+    from candata.training.processes import joined
+
+    with (
+        console.stoppable(lambda: _saved_text(out), goes_on=True),
+        joined(device) as processes,
+        _stages(processes.is_first) as stage,
+    ):
         stage("reading the dataset")
-        datasets = {name: console.open_named(path, version) for name, path in paths.items()}
-        job = prepare(datasets if mixture else datasets[""], request, settings, device)
+        datasets = {name: console.open_named(path, version) for name, (path, version) in sources.items()}
+        sources_read = datasets if request.mixture else datasets[""]
+        job = prepare(sources_read, request, settings, device, processes, _simulating(stage))
         _tell_clipped(job, stage)
-        if init is not None:
-            stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
+        for note in job.notes if processes.is_first else ():
+            console.note(note)
+        if request.init is not None:
+            stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
-            progress = run(job, out, _teller(stage), should_stop)
+            progress = train_job(job, out, _teller(stage), should_stop)
     if settings.share(progress.step, progress.elapsed_s) < 1:
+        if not processes.is_first:
+            raise typer.Exit(console.EXIT_STOPPED)
         raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
-    _print_trained(job, progress, out, list(paths.values())[-1], json)
+    if processes.is_first:
+        _print_trained(job, progress, out, list(sources.values())[-1][0], json)
+
+
+def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
+    """Return what tells the stages of the command, or tells nothing: of several processes one speaks."""
+    return console.stages() if speaks else nullcontext(lambda _text: None)
 
 
 def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:

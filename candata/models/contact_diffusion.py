@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from candata.loaders import Normaliser
-from candata.models._config import PRESETS, ContactConfig, check_sizes, parser
+from candata.models._config import DIFFUSION_PRESETS, ContactConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
 from candata.models._encoders import mlp
@@ -76,7 +76,7 @@ def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> Conta
 MODEL = Model(
     "forecasts contact, then pose increments by denoising diffusion under it",
     ("object_pose", "joint_position", "action", "contact"),
-    {name: ContactConfig(**values) for name, values in PRESETS.items()},
+    {name: ContactConfig(**values) for name, values in DIFFUSION_PRESETS.items()},
     parser(ContactConfig),
     _build,
     {"fingertip_contact": "fingertip_contact"},

@@ -53,7 +53,7 @@ MODEL = Model(
     {
         "small": MlpConfig(width=256, layers=2),
         "base": MlpConfig(),
-        "paper": MlpConfig(planned_actions=False),
+        "paper": MlpConfig(planned_actions=False, fingertip_points=False),
     },
     parser(MlpConfig),
     _build,

@@ -19,6 +19,7 @@ from candata.training.data import channels_for
 from candata.training.evaluated_runs import EvaluatedRun
 from candata.training.forecasters import BASELINES, TrainedModel
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation, ModelFacts, Scores, SimulatorFacts, Track
+from candata.training.run_simulator import trained_simulator
 from candata.training.scoring import Entrant, EvaluationFindings, chosen_windows, score
 from candata.training.servo_lag import ServoLags, fit_servo_lags
 from candata.training.simulator import Simulator, simulator
@@ -231,6 +232,7 @@ def _model_entrant(evaluated: EvaluatedRun, held_out: Windows, settings: Evaluat
         settings.steps,
         settings.device,
         f"{evaluated.name} ({run.model}, mean of {settings.samples} samples)",
+        trained_simulator(evaluated.checkpoint, own_windows, settings.scene, settings.threads),
     )
     draws = "train_steps" in run.config  # as a diffusion model does; the samples of others are equal
     return Entrant(forecaster, own_windows, evaluated.execute, replace(forecaster, samples=1) if draws else None)

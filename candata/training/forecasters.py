@@ -14,6 +14,8 @@ from candata.loaders.increments import increments
 if TYPE_CHECKING:
     import torch
 
+    from candata.training.simulator import Simulator
+
 Batch = Mapping[str, NDArray]
 
 #: Windows that a model forecasts at once.
@@ -103,6 +105,8 @@ class TrainedModel:
         `cpu` or `cuda`.
     summary : str
         Name for people.
+    simulator : Simulator or None
+        What makes the forecasts that the model reads; None for a model that reads none.
     """
 
     module: torch.nn.Module
@@ -111,9 +115,12 @@ class TrainedModel:
     steps: int
     device: str = "cpu"
     summary: str = "the model"
+    simulator: Simulator | None = None
 
     def forecast(self, batch: Batch, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the model's forecasts, a few hundred windows at a time."""
+        if self.simulator is not None:
+            batch = {**batch, **self.simulator.keys(batch)}
         count = len(batch["history_pad"])
         parts = [self._part(batch, slice(i, i + _AT_ONCE), (*seed, i)) for i in range(0, count, _AT_ONCE)]
         contacts = [part.contact for part in parts if part.contact is not None]

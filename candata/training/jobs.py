@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,15 @@ from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
 from candata.models import model as find_model
 from candata.schema.channels import CHANNELS
+from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
-from candata.training import checkpoint, feed, runs
+from candata.training import checkpoint, feed, run_simulator, runs, simulated
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
+from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
-from candata.training.settings import Run, TrainingSettings
+from candata.training.processes import ALONE, Processes
+from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
 DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
@@ -55,6 +59,11 @@ class TrainRequest:
         Method of the normaliser; `robust`, or the normaliser of `init`.
     mixture : Mixture or None
         Shares of several datasets.
+    scene : str or None
+        Scene of the recordings, for a model that reads where the fingertips are or what the simulator makes of them;
+        that of `init`, else the one that each episode names.
+    effects : tuple of EffectSetting or None
+        Effects of its simulator; those of `init`, else none.
     """
 
     model: str | None = None
@@ -67,10 +76,17 @@ class TrainRequest:
     init: Path | None = None
     normaliser: Method | None = None
     mixture: Mixture | None = None
+    scene: str | None = None
+    effects: tuple[EffectSetting, ...] | None = None
 
 
 def prepare(
-    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: TrainingSettings, device: str = "cpu"
+    data: Dataset | Mapping[str, Dataset],
+    request: TrainRequest,
+    settings: TrainingSettings,
+    device: str = "cpu",
+    processes: Processes = ALONE,
+    simulating: simulated.Progress = lambda _done, _total: None,
 ) -> TrainingJob:
     """Return the job.
 
@@ -84,12 +100,16 @@ def prepare(
         How.
     device : str
         `cpu` or `cuda`.
+    processes : Processes
+        Those that train together; this one alone by default.
+    simulating : callable
+        Called with (windows done, windows in all) while the simulator forecasts the windows of a model that reads it.
 
     Raises
     ------
     UsageError
-        When a setting means nothing, the mixture does not fit the datasets, or the checkpoint of `init` is of another
-        model, hand or window.
+        When a setting means nothing, the batch does not divide among the processes, the mixture does not fit the
+        datasets, or the checkpoint of `init` is of another model, hand or window.
     DataError
         When a dataset lacks a channel, its split's `train` is empty, no episode is as long as the horizon, or datasets
         to mix differ.
@@ -99,29 +119,40 @@ def prepare(
     check_device(device)
     initial = None if request.init is None else checkpoint.read(request.init)
     name, config = _model_config(request, initial, settings)
-    reads = find_model(name).reads(config)
     training_data = find_data(data, request.mixture, request.split)
+    notes: tuple[str, ...] = ()
+    if initial is None:
+        config, notes = with_hand(config, training_data.datasets.values(), request.scene)
+    reads = find_model(name).reads(config)
     default_shape = DEFAULT_SHAPE if initial is None else initial.run.sizes | {"rate_hz": initial.run.rate_hz}
     requested_shape = {"history": request.history, "horizon": request.horizon, "rate_hz": request.rate_hz}
     window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}
     window_options = window_shape | {"method": request.normaliser or "robust"}
     train = training_data.feed(tuple(training_data.datasets), "train", reads, window_options)
-    run = _run(training_data, request, settings, name, config, train, initial)
+    simulation = run_simulator.stated(name, request.scene, request.effects, initial, train)
+    if simulation is not None:
+        train = simulated.thinned(train)
+    run = _run(training_data, request, settings, name, config, train, initial, simulation)
+    make_simulated = partial(run_simulator.simulated_feed, run=run, processes=processes, simulating=simulating)
     module = build(run, device)
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
     batches: tuple[Batch, ...] = ()
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
-        batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
+        if simulation is not None:
+            held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
+        batches = feed.held_out(make_simulated(held_out), settings.batch, HELD_OUT_BATCHES, device)
     return TrainingJob(
         run,
         module,
-        feed.drawing(train, settings, device),
+        feed.drawing(make_simulated(train), settings, device, processes),
         batches,
         device,
         training_data.split_record(),
         _effective(train, run),
+        notes,
+        processes,
     )
 
 
@@ -239,6 +270,7 @@ def _run(
     config: Record,
     train: Windows | MixedWindows,
     initial: Checkpoint | None,
+    simulation: RunSimulator | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
     facts = _facts(train)
@@ -258,6 +290,7 @@ def _run(
         normaliser=initial.run.normaliser if initial else train.normaliser.model_dump(mode="json"),
         settings=settings,
         init=_origin(initial),
+        simulator=simulation,
         revision=__version__,
     )
 

@@ -19,6 +19,8 @@ class TrainingState:
     ----------
     module : torch.nn.Module
         The model.
+    weights : dict of str to Tensor
+        Its weights and buffers, the memory they share with it: they change as it trains.
     average : dict of str to Tensor
         Moving average of its weights, which is what is evaluated.
     optimiser : torch.optim.AdamW
@@ -28,6 +30,7 @@ class TrainingState:
     """
 
     module: torch.nn.Module
+    weights: dict[str, torch.Tensor]
     average: dict[str, torch.Tensor]
     optimiser: torch.optim.AdamW
     progress: Progress
@@ -44,7 +47,7 @@ class TrainingState:
             for name, value in entry.items()
         }
         return {
-            checkpoint.WEIGHTS: dict(self.module.state_dict()),
+            checkpoint.WEIGHTS: self.weights,
             checkpoint.AVERAGE: self.average,
             checkpoint.OPTIMISER: moments,
         }
@@ -54,10 +57,14 @@ class TrainingState:
         self.module.load_state_dict(source.tensors(checkpoint.WEIGHTS))
         for name, value in source.tensors(checkpoint.AVERAGE).items():
             self.average[name].copy_(value)
+        parameters = list(self.module.parameters())
         moments: dict[int, dict[str, torch.Tensor]] = {}
         for name, value in source.tensors(checkpoint.OPTIMISER).items():
             index, key = name.split("/")
-            moments.setdefault(int(index), {})[key] = value
+            parameter = parameters[int(index)]
+            # The fused optimiser reads moments in the order in which the weights lie in memory.
+            moment = torch.empty_like(parameter).copy_(value) if value.shape == parameter.shape else value
+            moments.setdefault(int(index), {})[key] = moment
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
         self.progress = source.progress
@@ -66,9 +73,14 @@ class TrainingState:
 def initial_state(module: torch.nn.Module, settings: TrainingSettings) -> TrainingState:
     """Return the state at step 0 of a run that begins with the weights of `module`."""
     optimiser = torch.optim.AdamW(
-        module.parameters(), lr=settings.learning_rate, betas=settings.betas, weight_decay=settings.weight_decay
+        module.parameters(),
+        lr=settings.learning_rate,
+        betas=settings.betas,
+        weight_decay=settings.weight_decay,
+        fused=True,
     )
-    return TrainingState(module, ema.start_average(module.state_dict()), optimiser, Progress())
+    weights = {name: value.detach() for name, value in module.state_dict().items()}
+    return TrainingState(module, weights, ema.start_average(weights), optimiser, Progress())
 
 
 def generator(device: str, *key: int) -> torch.Generator:

@@ -11,7 +11,7 @@ import torch
 from candata.errors import UnknownNameError, UsageError
 from candata.models import Sizes, model, model_names
 
-NAMES = ["contact_diffusion", "diffusion_unet", "mlp"]
+NAMES = ["contact_diffusion", "diffusion_unet", "mlp", "unet"]
 DIFFUSIONS = NAMES[:2]
 FULL = Sizes(history=8, horizon=16, joints=15, actuators=15, fingertips=5, points=512)
 
@@ -39,6 +39,7 @@ def test_every_preset_says_what_it_reads(name):
     assert list(found.presets) == ["small", "base", "paper"]
     assert not found.presets["paper"].planned_actions
     assert found.presets["base"].planned_actions
+    assert getattr(found.presets["paper"], "target", "epsilon") == "epsilon"
     assert ("contact" in found.reads(found.presets["base"])) == (name == "contact_diffusion")
     asked = found.parse({"fingertip_contact": True})
     assert "fingertip_contact" in found.reads(asked)
