@@ -37,7 +37,9 @@ Simulator = Annotated[
     typer.Option("--simulator/--no-simulator", help="The nominal simulator; by default where a scene is known."),
 ]
 Baselines = Annotated[bool, typer.Option("--baselines/--no-baselines", help="stays and keeps_velocity.")]
-Joints = Annotated[str, typer.Option("--joints", help="recorded, or servo: a lag fitted on training episodes.")]
+Joints = Annotated[
+    str, typer.Option("--joints", help="recorded, servo (a lag fitted on training episodes) or simulator.")
+]
 
 
 def register(app: typer.Typer) -> None:
