@@ -59,6 +59,8 @@ class EvaluationSettings:
         What closed loops feed the models as joints: `recorded`, or `servo`, a lag fitted on training episodes.
     threads : int
         Threads of the simulators.
+    shape : mapping of str to float or None
+        `history`, `horizon` and `rate_hz` of the windows where no run says them; those of `candata train` by default.
     """
 
     group: str = "test"
@@ -73,6 +75,7 @@ class EvaluationSettings:
     effects: tuple[EffectSetting, ...] | None = None
     joints: JointsFrom = "recorded"
     threads: int = 1
+    shape: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -120,10 +123,11 @@ def evaluate(
         evaluated_runs.refuse_seen(each, seen[each.name] or (), settings.group)
     evaluated_runs.check_scaled(evaluated, dataset, ids)
     stage("reading the dataset")
-    held_out = _windows(dataset, split, evaluated, settings.group)
+    held_out = _windows(dataset, split, evaluated, settings)
     entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
-    execute = max((each.execute for each in evaluated), default=evaluated_runs.EXECUTE)
+    own_execute = settings.execute or min(evaluated_runs.EXECUTE, held_out.horizon)
+    execute = max((each.execute for each in evaluated), default=own_execute)
     others = {**simulators.forecasters, **(BASELINES if settings.baselines else {})}
     entrants |= {name: Entrant(forecaster, held_out, execute) for name, forecaster in others.items()}
     if not entrants:
@@ -184,20 +188,23 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     jobs.check_device(settings.device)
 
 
-def _windows(dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], group: str) -> Windows:
+def _windows(
+    dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], settings: EvaluationSettings
+) -> Windows:
     """Return a window at every step of the models, with all that they and the scores read."""
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    sizes: list[Mapping[str, float]] = [each.run.sizes for each in evaluated] or [jobs.DEFAULT_SHAPE]
+    shape = settings.shape or jobs.DEFAULT_SHAPE
+    sizes: list[Mapping[str, float]] = [each.run.sizes for each in evaluated] or [shape]
     options: dict[str, Any] = {
         "history": int(max(size["history"] for size in sizes)),
         "horizon": int(max(size["horizon"] for size in sizes)),
-        "rate_hz": evaluated[0].run.rate_hz if evaluated else jobs.DEFAULT_SHAPE["rate_hz"],
+        "rate_hz": evaluated[0].run.rate_hz if evaluated else shape["rate_hz"],
         "channels": channels_for(tuple(sorted(channels)), dataset),
     }
-    if group != "all":
-        options |= {"split": group, "splits": split}
+    if settings.group != "all":
+        options |= {"split": settings.group, "splits": split}
     full_windows = windows(dataset, **options)  # refuses a horizon that no episode holds
     return windows(dataset, pad="both", step=int(full_windows.stride[full_windows.owner].min()), **options)
 
