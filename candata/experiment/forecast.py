@@ -138,8 +138,25 @@ def _run_forecast(cell: Cell, trials: _Trials, folder: Path) -> tuple[float | No
 
 def _evaluation_forecast(cell: Cell, trials: _Trials, folder: Path) -> tuple[float | None, float | None]:
     """Return the hours of an evaluation."""
-    _, episode_s, _ = _tried(trials.plan.cells[cell.inputs["run"]], trials, folder)
+    if "run" in cell.inputs:
+        _, episode_s, _ = _tried(trials.plan.cells[cell.inputs["run"]], trials, folder)
+    else:
+        episode_s = _rows_tried(cell, trials, folder)
     return _test_episodes(cell, trials) * episode_s / 3600, 0.0
+
+
+def _rows_tried(cell: Cell, trials: _Trials, folder: Path) -> float:
+    """Return the seconds an episode of an evaluation of simulators and baselines."""
+    settings = EvaluationSettings(
+        group="all",
+        simulator="scene" in cell.places,
+        scene=cell.places.get("scene"),
+        effects=() if "effects" in cell.inputs and "scene" in cell.places else None,
+        **cell.settings["windows"],
+    )
+    begin_s = time.perf_counter()
+    evaluation, _ = evaluate([], _trial_set(trials, folder), settings)
+    return (time.perf_counter() - begin_s) / evaluation.episodes
 
 
 def _test_episodes(cell: Cell, trials: _Trials) -> int:

@@ -130,11 +130,10 @@ class _Planner:
         self._check_channels(title, column)
         test = self.part(column.real, "test")
         for count in self.file.counts:
-            runs = list(self._runs(title, column, count))
-            for entry, run in runs:
+            for entry, run in self._runs(title, column, count):
                 self._add_entry(entry, test, {"run": run})
-            if self.file.rows and runs:
-                self._add_rows(title, column, count, test, runs[0][1])
+            if self.file.rows:
+                self._add_rows(title, column, count, test)
 
     def _add_entry(self, entry: Entry, test: str, inputs: dict[str, str]) -> None:
         """Add the evaluation of a run; one that stands already is that of another number of real episodes."""
@@ -143,13 +142,14 @@ class _Planner:
             self.add(Cell("evaluation", entry.cell, settings, {"test": test, **inputs}))
             self.entries.append(entry)
 
-    def _add_rows(self, title: str, column: Column, count: int | None, test: str, run: str) -> None:
+    def _add_rows(self, title: str, column: Column, count: int | None, test: str) -> None:
         """Add the evaluation of what is not trained: the simulators and the plain baselines."""
-        inputs = {"run": run, "test": test}
+        inputs = {"test": test}
         if "repaired simulator" in self.file.rows:
             inputs["effects"] = self.diagnosis(title, column, count)
         settings = self.file.evaluation.model_dump(mode="json")
-        settings |= {"rows": list(self.file.rows), **_scene_settings(self._scene(column))}
+        windows = self.file.windows.model_dump(mode="json")
+        settings |= {"rows": list(self.file.rows), "windows": windows, **_scene_settings(self._scene(column))}
         name = f"evaluation/{title}/rows/{_count_word(count)}"
         self.add(Cell("evaluation", name, settings, inputs, _scene_place(self._scene(column))))
         self.entries.append(Entry(title, count, name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -257,13 +256,17 @@ def _make_evaluation(cell: Cell, folder: Path, inputs: Mapping[str, Path], threa
         scene=cell.places.get("scene") if has_simulators else None,
         effects=effects,
         threads=threads,
+        **(cell.settings.get("windows") or {}),
         **{name: cell.settings[name] for name in ("samples", "steps", "execute", "seed")},
     )
-    evaluation, _tracks = evaluate([inputs["run"] / "run"], _dataset_at(inputs["test"]), settings)
+    paths = [inputs["run"] / "run"] if "run" in inputs else []
+    evaluation, _tracks = evaluate(paths, _dataset_at(inputs["test"]), settings)
     write_text(folder / EVALUATION, evaluation.model_dump_json(indent=1) + "\n", "evaluation")
-    return {"model": next(iter(evaluation.models)), "episodes": evaluation.episodes}
+    return {"episodes": evaluation.episodes}
 
 
 def threads_of(jobs: int) -> int:
-    """Return the threads of torch in each of so many processes."""
-    return max(1, len(os.sched_getaffinity(0)) // jobs)
+    """Return the threads of torch in each of so many processes: its own choice for one, shared out."""
+    import torch
+
+    return max(1, torch.get_num_threads() // jobs)

@@ -134,7 +134,8 @@ def evaluate(
     held_out = _windows(dataset, split, evaluated, settings)
     entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
-    execute = max((each.execute for each in evaluated), default=evaluated_runs.EXECUTE)
+    own_execute = settings.execute or min(evaluated_runs.EXECUTE, held_out.horizon)
+    execute = max((each.execute for each in evaluated), default=own_execute)
     others = {**simulators.forecasters, **(BASELINES if settings.baselines else {})}
     entrants |= {name: Entrant(forecaster, held_out, execute) for name, forecaster in others.items()}
     if not entrants:

@@ -13,7 +13,7 @@ from candata.datasets import append, create_dataset, put_cloud
 from candata.schema.manifest import Lineage
 from tests.training.conftest import gliding
 
-TINY = {"steps": 20, "batch": 8, "config": {"width": 16, "layers": 1}}
+TINY = {"steps": 4, "batch": 8, "config": {"width": 16, "layers": 1}}
 
 
 def standing_set(folder: Path, name: str, episodes: int, rows: int = 31) -> Path:

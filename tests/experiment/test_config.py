@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from pathlib import Path
+
 import pytest
 
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError
@@ -84,9 +87,7 @@ def test_a_set_that_is_not_there_and_a_channel_that_no_public_set_has_are_refuse
 def test_only_what_comes_of_a_change_has_another_digest(experiment_file):
     models = {"mlp": TINY, "twin": {"model": "mlp", **TINY}}
     before = plan_cells(read_experiment(experiment_file(models=models)))
-    after = plan_cells(
-        read_experiment(experiment_file(models=models | {"twin": {"model": "mlp", **TINY, "steps": 21}}))
-    )
+    after = plan_cells(read_experiment(experiment_file(models=models | {"twin": {"model": "mlp", **TINY, "steps": 5}})))
     first, second = digests(before.cells), digests(after.cells)
     changed = {name for name in first if first[name] != second[name]}
     assert changed == {name for name in first if "/twin/" in name}
@@ -105,3 +106,16 @@ def test_rows_are_chosen_by_words(experiment_file):
 def test_a_repair_needs_a_scene_and_one_object(experiment_file):
     with pytest.raises(CandataError, match="column single has a repair and no scene"):
         plan_cells(read_experiment(experiment_file(rows=["repaired simulator"])))
+
+
+@pytest.mark.parametrize("name", ["table1", "repair"])
+def test_the_papers_experiments_can_be_planned(name, monkeypatch):
+    monkeypatch.setattr("candata.experiment.plan.content_digest", lambda path: path)  # objects are fetched elsewhere
+    path = Path(__file__).resolve().parents[2] / "examples" / "paper" / f"{name}.yaml"
+    plan = plan_cells(read_experiment(path, 0.05)).chosen(["seed-0"])
+    kinds = Counter(cell.kind for cell in plan.cells.values())
+    assert min(kinds[kind] for kind in ("data", "part", "diagnosis", "train", "evaluation")) > 0
+    assert {entry.column for entry in plan.entries} == set(plan.file.columns)
+    residual_runs = [c for n, c in plan.cells.items() if n.startswith("train/") and "/sim_residual/repaired/" in n]
+    assert residual_runs
+    assert all("effects" in cell.inputs for cell in residual_runs)

@@ -12,7 +12,7 @@ from candata.experiment.sources import make_sealed, opened_effects, set_options
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import read_seal
-from tests.experiment.conftest import TINY
+from tests.experiment.conftest import standing_set
 
 
 def table_of(path, out, **more):
@@ -43,18 +43,17 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(experiment_file, tmp_p
 
 
 def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_file, tmp_path):
-    widths = {"latent": 8, "temporal_width": 8, "widths": [8, 8], "time_features": 8, "point_widths": [8]}
-    bad = {"steps": 20, "batch": 8, "config": {**widths, "train_steps": 2, "sampling_steps": 2}}
-    path = experiment_file(
-        models={"mlp": TINY, "diffusion_unet": bad}, regimes=["sim"], evaluation={"samples": 1, "steps": 3}
-    )
-    table = table_of(path, tmp_path / "out")
-    rows = {row.label: row for row in table.rows}
-    assert rows["mlp, sim"].adds_auc.value is not None
-    assert rows["mlp, sim"].failed is None
-    assert rows["diffusion_unet, sim"].adds_auc.value is None
-    assert "--steps is out of range" in rows["diffusion_unet, sim"].failed
-    assert list(table.failed) == ["evaluation/single/diffusion_unet/nominal/sim/train-all/seed-0"]
+    standing_set(tmp_path, "short", 10, rows=5)
+    data = {name: {"path": name} for name in ("sim", "real", "short")}
+    columns = {"long": {"sim": "sim", "real": "real"}, "short": {"sim": "sim", "real": "short"}}
+    table = table_of(experiment_file(data=data, columns=columns, regimes=["sim"]), tmp_path / "out")
+    rows = {(row.column, row.label): row for row in table.rows}
+    assert rows["long", "mlp, sim"].adds_auc.value is not None
+    assert rows["long", "mlp, sim"].failed is None
+    assert rows["short", "mlp, sim"].adds_auc.value is None
+    assert "no episode is long enough" in rows["short", "mlp, sim"].failed
+    failed_name = "evaluation/short/mlp/nominal/sim/train-all/seed-0"
+    assert set(table.failed) == {failed_name, "evaluation/short/rows/train-all"}
 
 
 def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
@@ -105,9 +104,9 @@ def test_the_seal_is_opened_for_the_floor_and_shares_of_the_gap_count_from_it(ex
     (tmp_path / "hidden.yaml").write_text(
         "effects: [{name: sliding_friction, parameters: {scale: {uniform: [3.0, 3.1]}}}]\n"
     )
-    real = {"scene": "cube_toss", "hidden": "hidden.yaml", "duration_s": 0.8, "train": 4, "test": 6}
+    real = {"scene": "cube_toss", "hidden": "hidden.yaml", "duration_s": 0.6, "train": 2, "test": 3}
     data = {
-        "sim": {"generate": {"scene": "cube_toss", "episodes": 4, "duration_s": 0.8}},
+        "sim": {"generate": {"scene": "cube_toss", "episodes": 4, "duration_s": 0.6}},
         "real": {"sealed": real},
     }
     path = experiment_file(
