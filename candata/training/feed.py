@@ -10,11 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from candata.errors import SetupError
-from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
+from candata.loaders import Gather, MixedWindows, SimulatedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
 from candata.training.processes import ALONE, Processes
 from candata.training.settings import TrainingSettings
-from candata.training.simulated import SimulatedWindows
 
 #: What batches may come from.
 AnyWindows = Windows | MixedWindows | SimulatedWindows

@@ -14,8 +14,6 @@ from candata.loaders.increments import increments
 if TYPE_CHECKING:
     import torch
 
-    from candata.training.simulator import Simulator
-
 Batch = Mapping[str, NDArray]
 
 #: Windows that a model forecasts at once.
@@ -89,6 +87,13 @@ def _present_contact(batch: Batch) -> NDArray | None:
 BASELINES: dict[str, Forecaster] = {"stays": Stays(), "keeps_velocity": KeepsVelocity()}
 
 
+class WindowSimulator(Protocol):
+    """Makes of windows what a model reads of the simulator."""
+
+    def keys(self, batch: Batch) -> dict[str, NDArray[np.float32]]:
+        """Return `simulated/object_pose (B, H, 7)` and `simulated/contact (B, H)` of a batch of `candata.loaders`."""
+
+
 @dataclass(frozen=True)
 class TrainedModel:
     """A trained model.
@@ -105,7 +110,7 @@ class TrainedModel:
         `cpu` or `cuda`.
     summary : str
         Name for people.
-    simulator : Simulator or None
+    simulator : WindowSimulator or None
         What makes the forecasts that the model reads; None for a model that reads none.
     """
 
@@ -115,7 +120,7 @@ class TrainedModel:
     steps: int
     device: str = "cpu"
     summary: str = "the model"
-    simulator: Simulator | None = None
+    simulator: WindowSimulator | None = None
 
     def forecast(self, batch: Batch, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the model's forecasts, a few hundred windows at a time."""

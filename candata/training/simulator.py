@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from candata.loaders import Windows
 from candata.loaders.increments import increments
+from candata.loaders.simulated import simulated_keys
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import Observer, rollout
@@ -47,14 +48,6 @@ class SimulatedArrays:
     joint_position: Array
     contact: Array
     steps: int
-
-
-def simulated_keys(object_pose: NDArray, contact: NDArray) -> dict[str, NDArray[np.float32]]:
-    """Return the entries of a batch that hold simulated poses `(B, H, 7)` and contacts `(B, H)`."""
-    return {
-        "simulated/object_pose": np.asarray(object_pose, np.float32),
-        "simulated/contact": np.asarray(contact, np.float32),
-    }
 
 
 @dataclass(frozen=True, eq=False)
