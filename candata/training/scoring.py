@@ -15,7 +15,7 @@ from candata.training.breakdown import breakdown
 from candata.training.contact_scores import contact_scores
 from candata.training.forecasters import Forecaster
 from candata.training.loop_errors import LoopErrors, area, closed_loop_scores, final_position_error, loop_errors
-from candata.training.pairs import ResampledAreas
+from candata.training.pairs import resampled_areas
 from candata.training.poses import mean_pose, position_error, rotation_error
 from candata.training.results import (
     ClosedLoopScores,
@@ -148,7 +148,7 @@ def _closed_loops(
     scores = {name: closed_loop_scores(course, each) for name, each in errors.items()}
     if any(each.adds is None for each in errors.values()):
         return scores, ()
-    areas = ResampledAreas({name: area(course, each) for name, each in errors.items()}, course.valid.sum(1), seed)
+    areas = resampled_areas({name: area(course, each) for name, each in errors.items()}, course.valid.sum(1), seed)
     with_interval = {
         name: each.model_copy(update={"adds_auc_interval": areas.interval(name)}) for name, each in scores.items()
     }
