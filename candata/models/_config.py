@@ -20,6 +20,8 @@ class HistoryConfig(Record):
     ----------
     seed : int
         Seed of the first weights.
+    members : int
+        Nets that are trained side by side and forecast in turn: their spread says how sure they are.
     planned_actions : bool
         Whether the actions a(t..t+H-1) that will be taken are read too. Without them the forecast must guess what
         the policy will do, as the paper's does.
@@ -39,6 +41,7 @@ class HistoryConfig(Record):
     """
 
     seed: int = Field(default=0, ge=0, lt=2**64)
+    members: int = Field(default=1, ge=1)
     planned_actions: bool = True
     world_position: bool = True
     contact_history: bool = False
