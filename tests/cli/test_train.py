@@ -116,13 +116,14 @@ def test_evaluate_compares_runs_and_a_repair_and_prints_json(trained, tmp_path, 
     second, effects = tmp_path / "second", tmp_path / "effects.yaml"
     shutil.copytree(trained.out, second)
     effects.write_text("scene: xhand_tabletop\neffects: [{name: object_mass, parameters: {mass_scale: 2.0}}]\n")
-    fixed = ("--split", "val", "--samples", 1, "--no-baselines", "--effects", effects)
+    fixed = ("--split", "val", "--samples", 1, "--no-baselines", "--joints", "simulator", "--effects", effects)
     done = run("evaluate", trained.out, second, trained.data, *fixed, "--out", tmp_path / "page", "--json")
     assert done.code == 0, done.err
     found = Evaluation.model_validate_json(done.out)
     assert (found.group, list(found.forecasters)) == ("val", ["run", "second", "simulator", "repaired simulator"])
     assert found.forecasters["run"].closed_loop == found.forecasters["second"].closed_loop
     assert found.simulators["repaired simulator"].effects[0].name == "object_mass"
+    assert found.joints_from == "repaired simulator"
     # Twice the mass is wrong for these episodes.
     assert found.pair("simulator", "repaired simulator").value > 0
 
