@@ -122,8 +122,10 @@ def _run(
     """Train on the sources, folder or name and version of each, and print what stands; one process speaks."""
     from candata.training import prepare
     from candata.training import train as train_job
+    from candata.training.memory import keep_freed_memory
     from candata.training.processes import joined
 
+    keep_freed_memory()
     with (
         console.stoppable(lambda: _saved_text(out), goes_on=True),
         joined(device) as processes,
@@ -139,12 +141,11 @@ def _run(
             stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
             progress = train_job(job, out, _teller(stage), should_stop)
+    if not processes.is_first:
+        return
     if settings.share(progress.step, progress.elapsed_s) < 1:
-        if not processes.is_first:
-            raise typer.Exit(console.EXIT_STOPPED)
         raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
-    if processes.is_first:
-        _print_trained(job, progress, out, list(sources.values())[-1][0], json)
+    _print_trained(job, progress, out, list(sources.values())[-1][0], json)
 
 
 def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
