@@ -26,9 +26,9 @@ Scaling = Annotated[
     str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
 ]
 Initial = Annotated[Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")]
-SceneRead = Annotated[
+ReadScene = Annotated[
     str | None,
-    typer.Option("--scene", help="Scene of fingertips and of sim_residual's simulator; by default the recordings'."),
+    typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
 ]
 Repair = Annotated[
     Path | None, typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads.")
@@ -70,7 +70,7 @@ def train(
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Rate of the model's steps, default 10.")] = None,
     init: Initial = None,
     normaliser: Scaling = None,
-    scene: SceneRead = None,
+    scene: ReadScene = None,
     effects: Repair = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
@@ -135,7 +135,8 @@ def _run(
         datasets = {name: console.open_named(path, version) for name, (path, version) in sources.items()}
         sources_read = datasets if request.mixture else datasets[""]
         job = prepare(sources_read, request, settings, device, processes, _simulating(stage))
-        _tell_notes(job, stage)
+        if processes.is_first:
+            _tell_notes(job, stage)
         if request.init is not None:
             stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
@@ -154,7 +155,7 @@ def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
 
 def _tell_notes(job: TrainingJob, stage: Callable[[str], None]) -> None:
     """Tell what the job notes, and how many values the normaliser clips."""
-    for note in job.notes if job.processes.is_first else ():
+    for note in job.notes:
         console.note(note)
     if clip_counts := job.run.normaliser.get("clipped"):
         values = ", ".join(f"{name} {count:,}" for name, count in clip_counts.items())
