@@ -58,9 +58,8 @@ class _Run:
         inputs = {c.name: {role: self.folders[n] for role, n in c.inputs.items()} for c in batch}
         if batch[0].kind in _ALONE:
             # What stands may have been made under another name.
-            return [
-                replace_name(make_set(cell, names[cell.name], inputs[cell.name], self.bench), cell.name) for cell in batch
-            ]
+            made = [(cell, make_set(cell, names[cell.name], inputs[cell.name], self.bench)) for cell in batch]
+            return [replace_name(result, cell.name) for cell, result in made]
         results: list[CellRecord | Failure] = []
         missing = []
         for cell in batch:
