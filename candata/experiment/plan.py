@@ -293,7 +293,9 @@ class _Planner:
         return open_dataset(folder, version)
 
     def _check_channels(self, title: str, column: Column) -> None:
-        """Refuse a standing real set that lacks a channel that a model of the table reads."""
+        """Refuse models that cannot be configured, and a standing real set that lacks a channel that one reads."""
+        for name, entry in self.file.models.items():
+            configured(find_model(entry.model or name), entry, 0)
         if self.file.data[column.real].path is None:
             return
         present = set(row_shapes(self._standing(column.real), None))

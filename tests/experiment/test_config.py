@@ -15,6 +15,7 @@ from candata.loaders import make_split, save_split
 from tests.experiment.conftest import TINY
 
 SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
+MADE = {"sim": {"generate": {"scene": "cube_toss", "episodes": 20}}, "real": {"sealed": SEALED | {"outside": "wind"}}}
 
 
 @pytest.mark.parametrize(
@@ -31,6 +32,9 @@ SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
         ({"without_contact": "unet2"}, "unknown model of the experiment 'unet2'"),
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED}}}, "expected one of hidden, outside"),
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED | {"outside": "wnd"}}}}, "unknown outside cause"),
+        ({"data": MADE, "models": {"mlp": {"config": {"widht": 3}}}}, "did you mean `width`"),
+        ({"data": MADE, "models": {"mlp": {"preset": "smal"}}}, "unknown preset 'smal'"),
+        ({"data": MADE | {"real": {"sealed": SEALED | {"hidden": "no.yaml"}}}}, "the file of `hidden` is not there"),
         ({"data": {"sim": {"path": "sim"}, "real": {"path": "real", "recipe": "a.yaml"}}}, "expected one of path"),
     ],
 )
@@ -68,6 +72,7 @@ def test_more_real_episodes_than_a_world_has_are_refused(experiment_file):
 
 def test_a_recipe_is_read_with_its_paths_seen_from_its_own_folder(experiment_file, tmp_path):
     (tmp_path / "recipes").mkdir()
+    (tmp_path / "recipes" / "r.yaml").write_text("effects: []\n")
     (tmp_path / "recipes" / "set.yaml").write_text("scene: cube_toss\nepisodes: 20\nrandomise: r.yaml\n")
     data = {"sim": {"recipe": "recipes/set.yaml"}, "real": {"path": "real"}}
     generation = read_experiment(experiment_file(data=data)).data["sim"].generate
