@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from candata.datasets import Dataset, open_dataset
-from candata.datasets.registry import resolve
-from candata.errors import DataError, UnknownNameError, UsageError, Where
+from candata.datasets import Dataset
+from candata.errors import UnknownNameError, UsageError
 from candata.experiment.cells import Cell, content_digest
 from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
-from candata.experiment.sources import part_ids
-from candata.loaders.layout import row_shapes
-from candata.models import Model
+from candata.experiment.refusals import check_channels, check_unseen, standing_set
 from candata.models import model as find_model
+from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
-from candata.training.jobs import OF_THE_ROBOT
+from candata.scenes.contract import SCENES
 from candata.training.settings import FINE_TUNE_SHARE
-
-#: Said where a standing set lacks a channel that a model reads.
-NO_PUBLIC_SET = "no public set has poses, joints, commands and tip forces together"
-#: Ids that a message names.
-NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
@@ -122,6 +115,25 @@ class _Planner:
     file: ExperimentFile
     cells: dict[str, Cell]
     entries: list[Entry]
+    digests: dict[str, str] = field(default_factory=dict)
+
+    def digest(self, place: str) -> str:
+        """Return the digest of a file or an object's folder, read once; a registered object's name as it is."""
+        if place not in self.digests:
+            self.digests[place] = content_digest(place) if Path(place).is_absolute() else place
+        return self.digests[place]
+
+    def scene_digest(self, scene: str) -> str:
+        """Return the digest of a scene of the library, which is its name, or of a scene file's compiled model.
+
+        Raises
+        ------
+        CandataError
+            When there is no such scene.
+        """
+        if scene not in self.digests:
+            self.digests[scene] = scene if scene in SCENES else load_scene(scene).digest
+        return self.digests[scene]
 
     def add(self, cell: Cell) -> str:
         """Return the name of a cell, added once."""
@@ -130,8 +142,8 @@ class _Planner:
 
     def add_column(self, title: str, column: Column) -> None:
         """Add the cells and entries of a column."""
-        self._check_channels(title, column)
-        self._check_unseen(title, column)
+        check_channels(self.file, title, column)
+        check_unseen(self.file, title, column)
         test = self.part(column.real, "test")
         for count in self.file.counts:
             for entry, run in self._runs(title, column, count):
@@ -153,7 +165,7 @@ class _Planner:
             inputs["effects"] = self.diagnosis(title, column, count)
         settings = self.file.evaluation.model_dump(mode="json")
         windows = self.file.windows.model_dump(mode="json")
-        settings |= {"rows": list(self.file.rows), "windows": windows, **_scene_settings(self._scene(column))}
+        settings |= {"rows": list(self.file.rows), "windows": windows, **self._scene_settings(self._scene(column))}
         name = f"evaluation/{title}/rows/{_count_word(count)}"
         self.add(Cell("evaluation", name, settings, inputs, _scene_place(self._scene(column))))
         self.entries.append(Entry(title, count, name))
@@ -218,7 +230,31 @@ class _Planner:
         if not _needs_simulator(entry.model or name):
             return self.add(Cell("train", cell_name, settings, inputs))
         scene = self._scene(column)
-        return self.add(Cell("train", cell_name, settings | _scene_settings(scene), inputs, _scene_place(scene)))
+        return self.add(Cell("train", cell_name, settings | self._scene_settings(scene), inputs, _scene_place(scene)))
+
+    def _generation_cell(self, name: str, generation: Generation) -> Cell:
+        """Return the cell of a simulated set."""
+        return Cell("data", name, self._portable(generation), places={"record": generation.model_dump_json()})
+
+    def _sealed_cell(self, source_name: str, sealed: SealedWorld) -> Cell:
+        """Return the cell of a world that stands in for the real one; worlds of one name share their seal."""
+        places = {"record": sealed.model_dump_json(), "seal": sealed.world or source_name}
+        return Cell("data", f"data/{source_name}", self._portable(sealed), places=places)
+
+    def _portable(self, record: Generation | SealedWorld) -> dict[str, Any]:
+        """Return the settings of a set without the places of its files, and the digests of what these hold."""
+        settings = record.model_dump(mode="json")
+        files = {name: self.digest(settings.pop(name)) for name in FILES if settings.get(name) is not None}
+        objects = {"objects": _last_names(record.objects), "shapes": [self.digest(name) for name in record.objects]}
+        return settings | objects | self._scene_settings(record.scene) | {"files": files}
+
+    def _scene_settings(self, scene: str | None) -> dict[str, Any]:
+        """Return what decides of a scene: names without places, and digests."""
+        if scene is None:
+            return {"scene": None}
+        base, *objects = scene.split(OBJECT_MARK)
+        content = [self.scene_digest(base), *(self.digest(name) for name in objects)]
+        return {"scene": _last_names([base, *objects]), "scene_content": content}
 
     def simulated(self, source_name: str, effects: str | None, count: int | None) -> str:
         """Return the name of a simulated or standing set to pre-train on, of the repaired simulator with `effects`."""
@@ -228,21 +264,21 @@ class _Planner:
                 raise UsageError(
                     f"{source_name} stands and cannot be simulated with the repair", expected="recipe or generate"
                 )
-            return self.add(_standing_cell(source_name, self._standing(source_name)))
+            return self.add(_standing_cell(source_name, standing_set(self.file, source_name)))
         if effects is None:
-            return self.add(_generation_cell(f"data/{source_name}", generation))
-        cell = _generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
+            return self.add(self._generation_cell(f"data/{source_name}", generation))
+        cell = self._generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
         return self.add(replace(cell, inputs={"effects": effects}))
 
     def part(self, source_name: str, word: str) -> str:
         """Return the name of a part of a real set: `test`, `train-N` or `train-all`."""
         source = self.file.data[source_name]
         if source.sealed is not None:
-            whole = self.add(_sealed_cell(source_name, source.sealed))
+            whole = self.add(self._sealed_cell(source_name, source.sealed))
             settings: dict[str, Any] = {"part": word, "train": source.sealed.train}
         else:
-            whole = self.add(_standing_cell(source_name, self._standing(source_name)))
-            cloud = {} if source.cloud_of is None else {"cloud_of": _scene_settings(source.cloud_of)}
+            whole = self.add(_standing_cell(source_name, standing_set(self.file, source_name)))
+            cloud = {} if source.cloud_of is None else {"cloud_of": self._scene_settings(source.cloud_of)}
             settings = {"part": word, "split": source.split, **cloud}
         name = f"part/{source_name}/{word}"
         return self.add(Cell("part", name, settings, {"data": whole}, _scene_place(source.cloud_of)))
@@ -251,7 +287,7 @@ class _Planner:
         """Return the name of the diagnosis of the training part of a real set."""
         diagnosed = column.diagnosed or column.real
         scene = self._diagnosed_scene(title, column, diagnosed)
-        settings = self.file.diagnosis.model_dump(mode="json") | _scene_settings(scene)
+        settings = self.file.diagnosis.model_dump(mode="json") | self._scene_settings(scene)
         inputs = {"data": self.part(diagnosed, _count_word(count))}
         name = f"diagnosis/{diagnosed}/{_count_word(count)}"
         return self.add(Cell("diagnosis", name, settings, inputs, {"scene": scene}))
@@ -279,86 +315,6 @@ class _Planner:
             )
         return str(self._scene(Column(real=diagnosed)))
 
-    def _standing(self, source_name: str) -> Dataset:
-        """Return a set that stands."""
-        path = str(self.file.data[source_name].path)
-        if not Path(path).exists() and not Path(path).name.startswith("@"):
-            raise DataError(
-                f"the set {source_name} is not there",
-                expected="a dataset",
-                where=Where(path=path),
-                fix="candata fetch gets public sets; see candata fetch --help",
-            )
-        folder, version = resolve(path)
-        return open_dataset(folder, version)
-
-    def _check_channels(self, title: str, column: Column) -> None:
-        """Refuse models that cannot be configured, and a standing real set that lacks a channel that one reads."""
-        for name, entry in self.file.models.items():
-            configured(find_model(entry.model or name), entry, 0)
-        if self.file.data[column.real].path is None:
-            return
-        present = set(row_shapes(self._standing(column.real), None))
-        for name, entry in self.file.models.items():
-            missing = [c for c in reads(entry, name) if c not in present and c not in OF_THE_ROBOT]
-            if missing:
-                raise DataError(
-                    f"column {title}: {column.real} lacks {', '.join(missing)}, which {name} reads",
-                    expected=", ".join(reads(entry, name)),
-                    found=f"{', '.join(sorted(present))}; {NO_PUBLIC_SET}",
-                    where=Where(path=str(self.file.data[column.real].path)),
-                    fix=f"leave {name} out of this experiment, or record the channel",
-                )
-
-    def _check_unseen(self, title: str, column: Column) -> None:
-        """Refuse standing sets whose training episodes are test episodes of the column, by their content."""
-        if self.file.data[column.real].path is None:
-            return
-        test = self._content(column.real, self.file.data[column.real].split, "test")
-        # Pre-training is by the default split, whatever the split of a real part.
-        splits = {column.sim: None, column.larger: None}
-        if column.diagnosed is not None:
-            splits[column.diagnosed] = self.file.data[column.diagnosed].split
-        for name, split in splits.items():
-            if name is None or self.file.data[name].path is None:
-                continue
-            seen = sorted(test[content] for content in test.keys() & self._content(name, split, "train-all").keys())
-            if seen:
-                raise UsageError(
-                    f"column {title}: {name} would train or repair on test episodes of {column.real}",
-                    expected="no test episode among those that are trained on or diagnosed",
-                    found=f"{len(seen)} seen: {', '.join(seen[:NAMED_IDS])}{' and more' * (len(seen) > NAMED_IDS)}",
-                    where=Where(path=str(self.file.data[name].path)),
-                    fix="hold the same episodes out of both, by one stored split",
-                )
-
-    def _content(self, source_name: str, split: str | None, part: str) -> dict[str, str]:
-        """Return the ids of a part of a standing set by the hash of what the episode holds."""
-        dataset = self._standing(source_name)
-        catalog = dataset.catalog(["id", "content_hash"])
-        hashes = dict(zip(catalog["id"].to_pylist(), catalog["content_hash"].to_pylist(), strict=True))
-        ids = part_ids(dataset, {"part": part, "split": split})
-        return {hashes[name]: name for name in ids}
-
-
-def reads(entry: ModelEntry, name: str) -> tuple[str, ...]:
-    """Return the channels that a model of an experiment reads."""
-    model = find_model(entry.model or name)
-    return model.reads(configured(model, entry, 0))
-
-
-def configured(model: Model, entry: ModelEntry, seed: int) -> Any:
-    """Return the configuration of a model of an experiment.
-
-    Raises
-    ------
-    UnknownNameError
-        When it has no such preset.
-    """
-    if entry.preset not in model.presets:
-        raise UnknownNameError("preset", entry.preset, model.presets)
-    return model.parse(model.presets[entry.preset].model_dump() | {"seed": seed} | entry.config)
-
 
 def _needs_simulator(model_name: str) -> bool:
     """Tell whether a model's input holds a simulator's forecast."""
@@ -370,49 +326,10 @@ def _count_word(count: int | None) -> str:
     return "train-all" if count is None else f"train-{count}"
 
 
-def _generation_cell(name: str, generation: Generation) -> Cell:
-    """Return the cell of a simulated set."""
-    return Cell("data", name, _portable(generation), places={"record": generation.model_dump_json()})
-
-
-def _sealed_cell(source_name: str, sealed: SealedWorld) -> Cell:
-    """Return the cell of a world that stands in for the real one; worlds of one name share their seal."""
-    places = {"record": sealed.model_dump_json(), "seal": sealed.world or source_name}
-    return Cell("data", f"data/{source_name}", _portable(sealed), places=places)
-
-
 def _standing_cell(source_name: str, dataset: Dataset) -> Cell:
     """Return the cell of a set that stands: nothing is made, and its version is the digest."""
     places = {"path": str(dataset.path), "version": dataset.digest}
     return Cell("data", f"data/{source_name}", {"digest": dataset.digest}, places=places)
-
-
-def _portable(record: Generation | SealedWorld) -> dict[str, Any]:
-    """Return the settings of a set without the places of its files, and the digests of what these hold."""
-    settings = record.model_dump(mode="json")
-    digests = {}
-    for name in FILES:
-        if settings.get(name) is not None:
-            digests[name] = content_digest(settings.pop(name))
-    parts = [*record.scene.split(OBJECT_MARK), *record.objects]
-    settings |= {"scene": _last_names(parts[: -len(record.objects) or None]), "objects": _last_names(record.objects)}
-    for part in parts:
-        if Path(part).exists():
-            digests[Path(part).name] = content_digest(part if Path(part).is_dir() else str(Path(part).parent))
-    return settings | {"files": digests}
-
-
-def _scene_settings(scene: str | None) -> dict[str, Any]:
-    """Return what decides of a scene: names without places, and digests of the files."""
-    if scene is None:
-        return {"scene": None}
-    parts = scene.split(OBJECT_MARK)
-    files = {
-        Path(part).name: part if Path(part).is_dir() else str(Path(part).parent)
-        for part in parts
-        if Path(part).exists()
-    }
-    return {"scene": _last_names(parts), "files": {name: content_digest(path) for name, path in files.items()}}
 
 
 def _scene_place(scene: str | None) -> dict[str, str]:

@@ -116,6 +116,33 @@ def test_only_what_comes_of_a_change_has_another_digest(experiment_file):
     assert first["train/single/twin/nominal/sim/seed-0"] == first["train/single/mlp/nominal/sim/seed-0"]
 
 
+def test_a_scene_counts_by_what_it_simulates_and_not_by_what_lies_beside_it(experiment_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    examples = Path(__file__).resolve().parents[2] / "examples" / "elbow_tosses"
+    (tmp_path / "lab").mkdir()
+    for name in ("scene.yaml", "scene.xml"):
+        (tmp_path / "lab" / name).write_bytes((examples / name).read_bytes())
+    data = {
+        "sim": {"generate": {"scene": "cube_toss", "episodes": 20}},
+        "real": {"sealed": SEALED | {"scene": "lab/scene.yaml", "outside": "wind"}},
+    }
+    path = experiment_file(data=data)
+    before = digests(plan_cells(read_experiment(path)).cells)
+    (tmp_path / "cube_toss").mkdir()
+    for folder in ("lab", "cube_toss"):
+        (tmp_path / folder / "notes.txt").write_text("of another day")
+    assert digests(plan_cells(read_experiment(path)).cells) == before
+    model = tmp_path / "lab" / "scene.xml"
+    text = model.read_text()
+    model.write_text(text.replace("<worldbody>", '<worldbody><site name="mark" pos="0 0 1"/>', 1))
+    changed = digests(plan_cells(read_experiment(path)).cells)
+    assert changed["data/real"] != before["data/real"]
+    assert changed["data/sim"] == before["data/sim"]
+    data["sim"]["generate"]["scene"] = "cube_tos"
+    with pytest.raises(UnknownNameError, match="cube_toss"):
+        plan_cells(read_experiment(experiment_file(data=data)))
+
+
 def test_rows_are_chosen_by_words(experiment_file):
     plan = plan_cells(read_experiment(experiment_file(seeds=[0, 1])))
     chosen = plan.chosen(["seed-1", "sim"])
