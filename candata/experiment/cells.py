@@ -20,12 +20,15 @@ from candata.schema.record import ResultRecord
 Kind = Literal["data", "part", "diagnosis", "train", "evaluation"]
 #: The record of a cell, written last: with it the cell stands.
 FILE = "cell.json"
+#: What cells hold beside it: a set, a run, an evaluation, the effects of a repair.
+SETS, RUN, EVALUATION, EFFECTS = "set", "run", "evaluation.json", "effects.yaml"
+_HELD: Mapping[Kind, str] = {"part": SETS, "diagnosis": EFFECTS, "train": RUN, "evaluation": EVALUATION}
 #: Packages whose versions decide what a cell of each kind holds.
 _PACKAGES: Mapping[Kind, tuple[str, ...]] = {
     "data": ("mujoco", "numpy"),
-    "part": (),
+    "part": ("mujoco", "numpy"),
     "diagnosis": ("mujoco", "numpy", "scipy"),
-    "train": ("torch", "numpy"),
+    "train": ("torch", "mujoco", "numpy"),
     "evaluation": ("torch", "mujoco", "numpy"),
 }
 
@@ -111,12 +114,13 @@ def cell_folder(out: Path, cell: Cell, digest: str) -> Path:
 
 
 def read_cell(folder: Path, digest: str) -> CellRecord | None:
-    """Return the record of a cell that stands; None for one that is missing, damaged or of another digest."""
+    """Return the record of a cell that stands; None for one that is missing, damaged, emptied or of another digest."""
     try:
         record = CellRecord.model_validate(parse_json((folder / FILE).read_bytes()))
     except (OSError, ValueError):
         return None
-    return record if record.digest == digest else None
+    is_whole = record.kind not in _HELD or (folder / _HELD[record.kind]).exists()
+    return record if is_whole and record.digest == digest else None
 
 
 def write_cell(folder: Path, record: CellRecord) -> None:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from candata import __version__
+from candata.experiment.cells import EVALUATION
 from candata.experiment.config import ExperimentFile
 from candata.experiment.paper import paper_figures
 from candata.experiment.plan import Entry, Plan
 from candata.experiment.results import Answer, ColumnFacts, ExperimentTable, RepairFacts, Row, Value
 from candata.experiment.scores import LEAST_EPISODES, Resampling, RowScores, excess, row_scores
-from candata.experiment.work import EVALUATION
 from candata.gap.verdict import EXPLAINED
-from candata.schema.json_text import parse_json
+from candata.schema.json_text import read_json
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation
 
 #: Regimes from the one that a first line speaks of rather to the last.
@@ -144,7 +144,7 @@ def _with_scores(row: Row, group: list[Entry], outcome: Outcome) -> _Scored:
 def read_evaluation(folder: Path) -> Evaluation:
     """Return the evaluation that a cell's folder holds."""
     path = folder / EVALUATION
-    return Evaluation.parse(parse_json(path.read_bytes()), path)
+    return Evaluation.parse(read_json(path), path)
 
 
 def _floor_scores(outcome: Outcome, title: str) -> RowScores | None:
@@ -205,7 +205,7 @@ def _findings(file: ExperimentFile, title: str, rows: list[Row], scored: list[_S
     """Return what came out of a column in plain words, the most important first."""
     chosen = _answers(file, rows)
     clauses = [
-        f"{words} {_percent(chosen[answer].closed)}"
+        f"{words}{_whose(file, chosen[answer])} {_percent(chosen[answer].closed)}"
         for answer, words in (("repair", "the repair closes"), ("model", "the model"), ("both", "both"))
         if answer in chosen and chosen[answer].closed.value is not None
     ]
@@ -226,6 +226,11 @@ def _answers(file: ExperimentFile, rows: list[Row]) -> dict[Answer, Row]:
         if row.answer is not None and row.adds_auc.value is not None:
             chosen.setdefault(row.answer, row)
     return chosen
+
+
+def _whose(file: ExperimentFile, row: Row) -> str:
+    """Return the name of a row's model where it is not the one that the first line speaks of."""
+    return "" if row.model in (None, file.main_model) else f" ({row.model})"
 
 
 def _rank(file: ExperimentFile, row: Row) -> tuple[bool, int, float]:

@@ -14,7 +14,18 @@ from candata.datasets.writing import write_text
 from candata.effects import read_effects
 from candata.errors import CandataError
 from candata.experiment import sources
-from candata.experiment.cells import Cell, CellRecord, cell_folder, read_cell, versions, write_cell
+from candata.experiment.cells import (
+    EFFECTS,
+    EVALUATION,
+    RUN,
+    SETS,
+    Cell,
+    CellRecord,
+    cell_folder,
+    read_cell,
+    versions,
+    write_cell,
+)
 from candata.experiment.config import Generation, SealedWorld
 from candata.gap import Diagnosis, diagnose
 from candata.loaders import parse_mixture
@@ -28,8 +39,7 @@ from candata.training.loop import train
 from candata.training.results import REPAIRED, SIMULATOR
 from candata.training.settings import TrainingSettings
 
-SETS, SEALS = "set", "seals"
-EVALUATION, EFFECTS = "evaluation.json", "effects.yaml"
+SEALS = "seals"
 #: Warm-up of a short run, as a share of its steps. Chosen: that of `candata.training.settings`.
 _WARM_UP_STEPS = 500
 
@@ -230,14 +240,14 @@ def train_request(
 
 
 def _make_run(cell: Cell, folder: Path, inputs: Mapping[str, Path], threads: int) -> dict[str, Any]:
-    """Return how far a run came, trained in `run` of the folder."""
-    init = inputs["init"] / "run" if "init" in inputs else None
+    """Return how far a run came, trained in its folder."""
+    init = inputs["init"] / RUN if "init" in inputs else None
     data = {role: _dataset_at(inputs[role]) for role in ("data", "sim", "real") if role in inputs}
     has_simulator = find_model(cell.settings["model"]).needs_simulator
     effects = _repair(inputs) if has_simulator else None
     request = train_request(cell.settings, cell.places.get("scene"), init, effects)
     job = prepare(data.get("data") or data, request, training_settings(cell.settings))
-    progress = train(job, folder / "run")
+    progress = train(job, folder / RUN)
     return {"steps": progress.step, "best_step": progress.best_step, "skipped": progress.skipped}
 
 
@@ -259,7 +269,7 @@ def _make_evaluation(cell: Cell, folder: Path, inputs: Mapping[str, Path], threa
         **(cell.settings.get("windows") or {}),
         **{name: cell.settings[name] for name in ("samples", "steps", "execute", "seed")},
     )
-    paths = [inputs["run"] / "run"] if "run" in inputs else []
+    paths = [inputs["run"] / RUN] if "run" in inputs else []
     evaluation, _tracks = evaluate(paths, _dataset_at(inputs["test"]), settings)
     write_text(folder / EVALUATION, evaluation.model_dump_json(indent=1) + "\n", "evaluation")
     return {"episodes": evaluation.episodes}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError
 from candata.experiment import plan_cells, read_experiment
-from candata.experiment.cells import digests
+from candata.experiment.cells import digests, versions
 from candata.loaders import make_split, save_split
 from tests.experiment.conftest import TINY
 
@@ -141,6 +142,18 @@ def test_a_scene_counts_by_what_it_simulates_and_not_by_what_lies_beside_it(expe
     data["sim"]["generate"]["scene"] = "cube_tos"
     with pytest.raises(UnknownNameError, match="cube_toss"):
         plan_cells(read_experiment(experiment_file(data=data)))
+
+
+def test_another_mujoco_makes_all_again_that_may_simulate(experiment_file, monkeypatch):
+    plan = plan_cells(read_experiment(experiment_file()))
+    before = digests(plan.cells)
+    version_of = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0" if name == "mujoco" else version_of(name))
+    versions.cache_clear()
+    after = digests(plan.cells)
+    monkeypatch.undo()
+    versions.cache_clear()
+    assert all(after[name] != digest for name, digest in before.items())
 
 
 def test_rows_are_chosen_by_words(experiment_file):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 from candata.datasets import open_dataset
 from candata.effects import read_randomisation
+from candata.errors import CandataError
 from candata.experiment import plan_cells, read_experiment, run_experiment
 from candata.experiment.config import Generation, SealedWorld
 from candata.experiment.sources import make_sealed, opened_effects, set_options
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import read_seal
-from tests.experiment.conftest import standing_set
+from tests.experiment.conftest import TINY, standing_set
 
 
 def table_of(path, out, **more):
@@ -62,6 +65,16 @@ def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
     for file in (tmp_path / "out").glob("cells/evaluation-*/cell.json"):
         file.write_text("{")
     assert table_of(path, tmp_path / "out") == first
+    for folder in (tmp_path / "out").glob("cells/train-*/run"):
+        shutil.rmtree(folder)
+    evaluations = [*(tmp_path / "out").glob("cells/evaluation-*/evaluation.json")]
+    for file in evaluations:
+        file.unlink()
+    assert table_of(path, tmp_path / "out") == first
+    evaluations[0].write_text("{")
+    with pytest.raises(CandataError, match="no JSON") as refusal:
+        table_of(path, tmp_path / "out")
+    assert str(evaluations[0]) in str(refusal.value)
 
 
 def test_a_set_under_another_name_is_the_same_cell(experiment_file, tmp_path):
@@ -119,10 +132,11 @@ def test_the_seal_is_opened_for_the_floor_and_shares_of_the_gap_count_from_it(ex
         "sim": {"generate": {"scene": "cube_toss", "episodes": 4, "duration_s": 0.6}},
         "real": {"sealed": real},
     }
-    path = experiment_file(
-        data=data, regimes=["sim"], rows=["simulator"], windows={"history": 3, "horizon": 4, "rate_hz": 37}
-    )
-    table = table_of(path, tmp_path / "out")
+    models = {"mlp": TINY, "other": {"model": "mlp", **TINY}}
+    windows = {"history": 3, "horizon": 4, "rate_hz": 37}
+    path = experiment_file(data=data, models=models, regimes=["sim"], rows=["simulator"], windows=windows)
+    plan = plan_cells(read_experiment(path)).chosen(["mlp"])
+    table = run_experiment(plan, tmp_path / "out", write_diagnosis)
     facts, rows = table.columns["single"], {row.label: row for row in table.rows}
     assert len(facts.opened) == 1
     assert facts.opened[0].startswith("sliding_friction scale 3.0")
@@ -130,6 +144,7 @@ def test_the_seal_is_opened_for_the_floor_and_shares_of_the_gap_count_from_it(ex
     assert facts.floor_auc > rows["simulator"].adds_auc.value
     assert rows["simulator"].closed.value == pytest.approx(0.0)
     assert rows["simulator"].excess > 1
+    assert table.headline.startswith("the model (mlp) ")
     assert "of the gap" in table.headline
 
 
