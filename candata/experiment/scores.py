@@ -98,13 +98,16 @@ class Resampling:
         return self.with_interval(float(scores.mean() - reference.mean()), draws)
 
     def closed(self, scores: Array, nominal: Array, floor: Array | None) -> Value:
-        """Return the share that scores close of the gap from the nominal simulator's to the floor's, or to 1."""
+        """Return the share that scores close of the gap from the nominal simulator's to the floor's, or to 1.
+
+        None where there is no gap: it is too small, or too small lies within its own interval.
+        """
         top = np.ones((1, self.episodes)) if floor is None else floor
-        gap = float(top.mean() - nominal.mean())
-        if not gap > LEAST_GAP:
+        gap, gaps = float(top.mean() - nominal.mean()), self.means(top) - self.means(nominal)
+        if not gap > LEAST_GAP or (self.has_intervals and np.quantile(gaps, ENDS[0]) < LEAST_GAP):
             return Value(value=None)
-        gaps = self.means(top) - self.means(nominal)
-        shares = (self.means(scores) - self.means(nominal)) / np.where(np.abs(gaps) < LEAST_GAP, np.nan, gaps)
+        is_gap = gaps >= LEAST_GAP
+        shares = (self.means(scores) - self.means(nominal))[is_gap] / gaps[is_gap]
         value = float((scores.mean() - nominal.mean()) / gap)
         return self.with_interval(value, shares if np.isfinite(shares).all() else None)
 

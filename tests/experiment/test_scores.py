@@ -21,6 +21,16 @@ def test_half_of_the_way_to_the_floor_is_half_of_the_gap():
     assert draws.closed(nominal, nominal, nominal + 0.001).value is None
 
 
+def test_a_gap_that_may_be_none_has_no_share_and_a_share_of_a_sure_one_has_an_interval():
+    rng = np.random.default_rng(3)
+    nominal = 0.9 + 0.05 * rng.standard_normal((1, 40))
+    noise = 0.05 * rng.standard_normal((1, 40))
+    draws = Resampling(40)
+    assert draws.closed(nominal + 0.01, nominal, nominal + 0.01 + noise).value is None
+    sure = draws.closed(nominal + 0.03, nominal, nominal + 0.06 + noise)
+    assert sure.low < sure.value < sure.high
+
+
 def test_an_interval_holds_the_spread_of_seeds_too():
     rng = np.random.default_rng(1)
     one_seed = 0.5 + 0.05 * rng.standard_normal((1, 100))
