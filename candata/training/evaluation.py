@@ -162,7 +162,7 @@ def evaluate(
         pairs=findings.pairs,
         breakdown=findings.breakdown,
         by_episode=findings.by_episode,
-        notes=simulators.notes,
+        notes=simulators.notes + _joint_notes(settings),
         forecasters={
             name: Scores(
                 summary=entrant.forecaster.summary,
@@ -195,6 +195,8 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
     ranges += [("steps", settings.steps, each.run.config.get("train_steps")) for each in evaluated]
     ranges += [("execute", each.execute, each.run.sizes["horizon"]) for each in evaluated]
+    if settings.execute is not None and not evaluated:
+        ranges += [("execute", settings.execute, int(settings.horizon or jobs.DEFAULT_SHAPE["horizon"]))]
     for name, value, maximum in ranges:
         if value < 1 or (maximum is not None and value > maximum):
             raise UsageError(
@@ -210,7 +212,8 @@ def _windows(
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    shape = {name: getattr(settings, name) or default for name, default in jobs.DEFAULT_SHAPE.items()}
+    stated_shape = {name: getattr(settings, name) for name in jobs.DEFAULT_SHAPE}
+    shape = {name: jobs.DEFAULT_SHAPE[name] if value is None else value for name, value in stated_shape.items()}
     if evaluated:
         shape = {name: max(each.run.sizes[name] for each in evaluated) for name in ("history", "horizon")}
         shape["rate_hz"] = evaluated[0].run.rate_hz
@@ -287,6 +290,12 @@ def _joints(
         name = list(simulators.forecasters)[-1]
         return name, partial(_simulated_joints, simulator=simulators.forecasters[name])
     return "recorded", None
+
+
+def _joint_notes(settings: EvaluationSettings) -> tuple[str, ...]:
+    """Return what people must know of the joints that closed loops feed."""
+    is_seen = settings.joints == "servo" and settings.group in evaluated_runs.KNOWINGLY_SEEN
+    return ("the servos were fitted on episodes that are scored here",) if is_seen else ()
 
 
 def _simulated_joints(course: Course, simulator: Simulator) -> NDArray:

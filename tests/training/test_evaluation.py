@@ -67,6 +67,9 @@ def test_joints_that_follow_a_servo_are_said_to(make_run, dataset):
     assert recorded.forecasters["run"].windows == servo.forecasters["run"].windows
     assert recorded.forecasters["run"].closed_loop != servo.forecasters["run"].closed_loop
     assert recorded.forecasters["stays"] == servo.forecasters["stays"]
+    fitted_on = "the servos were fitted on episodes that are scored here"
+    assert fitted_on not in servo.notes
+    assert fitted_on in evaluate([], data, replace(QUICK, joints="servo", group="all"))[0].notes
 
 
 def test_baselines_need_no_run(dataset):
@@ -74,6 +77,10 @@ def test_baselines_need_no_run(dataset):
     assert list(found.forecasters) == ["stays", "keeps_velocity"]
     assert (found.models, found.episodes) == ({}, 10)
     assert not any(track.sampled for track in tracks)
+    with pytest.raises(UsageError, match="--execute is out of range"):
+        evaluate([], dataset("short"), replace(QUICK, horizon=4, execute=5))
+    with pytest.raises(UsageError, match="history"):
+        evaluate([], dataset("without"), replace(QUICK, history=0))
     with pytest.raises(UsageError, match="nothing to evaluate"):
         evaluate([], dataset("other"), replace(QUICK, baselines=False))
 
