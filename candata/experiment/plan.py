@@ -16,6 +16,7 @@ from candata.models import model as find_model
 from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.contract import SCENES
+from candata.training.results import REPAIRED
 from candata.training.settings import FINE_TUNE_SHARE
 
 
@@ -159,16 +160,20 @@ class _Planner:
             self.entries.append(entry)
 
     def _add_rows(self, title: str, column: Column, count: int | None, test: str) -> None:
-        """Add the evaluation of what is not trained: the simulators and the plain baselines."""
-        inputs = {"test": test}
-        if "repaired simulator" in self.file.rows:
-            inputs["effects"] = self.diagnosis(title, column, count)
+        """Add the evaluations of what is not trained: one of the repaired simulator, one of all else."""
+        scene = self._scene(column)
         settings = self.file.evaluation.model_dump(mode="json")
-        windows = self.file.windows.model_dump(mode="json")
-        settings |= {"rows": list(self.file.rows), "windows": windows, **self._scene_settings(self._scene(column))}
-        name = f"evaluation/{title}/rows/{_count_word(count)}"
-        self.add(Cell("evaluation", name, settings, inputs, _scene_place(self._scene(column))))
-        self.entries.append(Entry(title, count, name))
+        settings |= {"windows": self.file.windows.model_dump(mode="json"), **self._scene_settings(scene)}
+        plain_rows = [row for row in self.file.rows if row != REPAIRED]
+        name = f"evaluation/{title}/rows"
+        if plain_rows and name not in self.cells:
+            self.add(Cell("evaluation", name, settings | {"rows": plain_rows}, {"test": test}, _scene_place(scene)))
+            self.entries.append(Entry(title, 0, name))
+        if REPAIRED in self.file.rows:
+            inputs = {"test": test, "effects": self.diagnosis(title, column, count)}
+            name = f"evaluation/{title}/{REPAIRED}/{_count_word(count)}"
+            self.add(Cell("evaluation", name, settings | {"rows": [REPAIRED]}, inputs, _scene_place(scene)))
+            self.entries.append(Entry(title, count, name))
 
     def _runs(self, title: str, column: Column, count: int | None) -> Iterator[tuple[Entry, str]]:
         """Yield each run of a column with its entry."""

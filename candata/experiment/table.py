@@ -109,7 +109,8 @@ def _scored_rows(title: str, entries: list[Entry], outcome: Outcome, rows: Seque
 def _untrained_rows(entry: Entry, outcome: Outcome, rows: Sequence[str]) -> list[_Scored]:
     """Return the rows of simulators and baselines that are asked for."""
     if entry.cell not in outcome.folders:
-        row = Row(column=entry.column, label="simulators and baselines", real_count=entry.count)
+        label = REPAIRED if entry.cell.startswith(f"evaluation/{entry.column}/{REPAIRED}/") else "what is not trained"
+        row = Row(column=entry.column, label=label, real_count=entry.count)
         return [_Scored(row.model_copy(update={"failed": outcome.failed.get(entry.cell, "not made yet")}), None)]
     evaluation = read_evaluation(outcome.folders[entry.cell])
     answers: dict[str, Answer] = {SIMULATOR: "nothing", REPAIRED: "repair"}

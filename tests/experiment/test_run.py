@@ -56,7 +56,19 @@ def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_
     assert rows["short", "mlp, sim"].adds_auc.value is None
     assert "no episode is long enough" in rows["short", "mlp, sim"].failed
     failed_name = "evaluation/short/mlp/nominal/sim/train-all/seed-0"
-    assert set(table.failed) == {failed_name, "evaluation/short/rows/train-all"}
+    assert set(table.failed) == {failed_name, "evaluation/short/rows"}
+
+
+def test_a_repair_that_fails_takes_its_own_row_alone_along(experiment_file, tmp_path):
+    columns = {"single": {"sim": "sim", "real": "real", "scene": "cube_toss"}}  # not the scene of these recordings
+    table = table_of(
+        experiment_file(columns=columns, regimes=["sim"], rows=["stays", "repaired simulator"]), tmp_path / "o"
+    )
+    rows = {row.label: row for row in table.rows}
+    assert rows["stays"].adds_auc.value is not None
+    assert rows["mlp, sim"].adds_auc.value is not None
+    assert rows["repaired simulator"].adds_auc.value is None
+    assert "148 Hz" in rows["repaired simulator"].failed
 
 
 def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
