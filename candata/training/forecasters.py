@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Batch = Mapping[str, NDArray]
 
+#: Entry of a batch whose joints are those that a closed loop feeds, not the recorded ones: `(B,) bool`.
+JOINTS_FED = "joints_fed"
 #: Windows that a model forecasts at once.
 _AT_ONCE = 256
 

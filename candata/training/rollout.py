@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from candata.errors import DataError
 from candata.loaders import Windows
 from candata.loaders.increments import integrate
-from candata.training.forecasters import Forecaster
+from candata.training.forecasters import JOINTS_FED, Forecaster
 from candata.training.poses import mean_pose
 
 #: Probability from which a forecast of contact is fed back as contact.
@@ -220,6 +220,7 @@ def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) 
             steps_fed = np.arange(1 - history_rows, 1) + step
             joints = course.joints[np.ix_(active, steps_fed[steps_fed > 0] - 1)]
             batch["history/joint_position"][:, steps_fed > 0] = joints
+            batch[JOINTS_FED] = np.ones(len(active), bool)
         if contact is not None:
             batch["history/contact"] = contact[active, step : step + history_rows] >= CONTACT_THRESHOLD
         forecast = forecaster.forecast(batch, (seed, step))

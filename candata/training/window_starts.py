@@ -16,7 +16,7 @@ from candata.loaders import Windows
 from candata.rotation import conjugate, difference, exp, multiply, normalise, rotate
 from candata.scenes import Scene
 from candata.simulate import followed_readings, true_state
-from candata.training.forecasters import Batch
+from candata.training.forecasters import JOINTS_FED, Batch
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -69,7 +69,8 @@ def window_starts(windows: Windows, scene: Scene, batch: Batch) -> WindowStarts:
     scene : Scene
         With the effects that belong to it: what its sensors add is taken off.
     batch : mapping
-        `history/object_pose (n, K + 1, 7)`, which a closed loop may have made, `history_pad`, `episode` and `row`.
+        `history/object_pose (n, K + 1, 7)`, which a closed loop may have made, `history_pad`, `episode` and `row`; with
+        `JOINTS_FED`, joints are those of `history/joint_position (n, K + 1, J)` and not the recorded ones.
     """
     pad = np.array(batch["history_pad"], bool)
     pad[:, -1] = False
@@ -86,7 +87,7 @@ def window_starts(windows: Windows, scene: Scene, batch: Batch) -> WindowStarts:
         recorded["object_pose"] = np.where(behind[..., None], np.nan, _between(poses, steps))
     if len(scene.joint_ids):
         rows = (present_row - lead)[:, None] + np.minimum(offsets, lead[:, None])
-        recorded["joint_position"] = np.where(behind[..., None], np.nan, _joints(windows, rows))
+        recorded["joint_position"] = np.where(behind[..., None], np.nan, _joints(windows, batch, rows))
     start = true_state(scene, {name: values[:, 0] for name, values in recorded.items()}, ())
     qpos, qvel = _at_start(scene, start), np.zeros((len(lead), scene.model.nv))
     if len(scene.joint_ids):
@@ -94,7 +95,7 @@ def window_starts(windows: Windows, scene: Scene, batch: Batch) -> WindowStarts:
         around = np.arange(-slope_rows, 1) if is_toss(scene) else np.arange(slope_rows + 1)
         rows = (present_row - lead)[:, None] + around
         rows = rows.clip(windows.cache.begin[batch["episode"]][:, None], present_row[:, None])
-        qvel[:, scene.joint_dof] = _slope(rows, _joints(windows, rows)) * scene.file.rate_hz
+        qvel[:, scene.joint_dof] = _slope(rows, _joints(windows, batch, rows)) * scene.file.rate_hz
     if scene.object_id is not None:
         step_s = stride / scene.file.rate_hz
         place, twist = _flight(scene, poses, step_s) if is_toss(scene) else _first_motion(poses, first_step, step_s)
@@ -114,8 +115,19 @@ def commands_from(windows: Windows, episode: Index, first_row: Index, count: int
     return np.asarray(windows.cache.rows["action"][rows], np.float64)
 
 
-def _joints(windows: Windows, rows: NDArray[np.int64]) -> Array:
-    """Return joint positions `(n, R, J)` of rows of the cache, NaN where a row is not valid."""
+def _joints(windows: Windows, batch: Batch, rows: NDArray[np.int64]) -> Array:
+    """Return joint positions `(n, R, J)` at rows of the cache, NaN where a row is not valid.
+
+    Those that a closed loop feeds are at its steps, and straight between them.
+    """
+    if JOINTS_FED in batch:
+        history = np.asarray(batch["history/joint_position"], np.float64)
+        last = history.shape[1] - 1
+        present_row = windows.cache.begin[batch["episode"]] + batch["row"]
+        steps = last + (rows - present_row[:, None]) / windows.stride[batch["episode"]][:, None]
+        lower = np.clip(np.floor(steps).astype(int), 0, max(last - 1, 0))
+        window, share = np.arange(len(history))[:, None], np.clip(steps - lower, 0, 1)[..., None]
+        return (1 - share) * history[window, lower] + share * history[window, np.minimum(lower + 1, last)]
     joints = windows.cache.rows["joint_position"][rows].astype(np.float64)
     return joints if windows.cache.all_valid else np.where(windows.cache.valid[rows][..., None], joints, np.nan)
 

@@ -19,6 +19,7 @@ from candata.testing.models import tiny_config
 from candata.training import TrainingSettings, TrainRequest, prepare, simulated, train
 from candata.training.checkpoint import read
 from candata.training.forecasters import TrainedModel
+from candata.training.rollout import close_loop, course
 from candata.training.run_simulator import trained_simulator
 from candata.training.simulated import simulated_windows, thinned
 from candata.training.simulator import Simulator, simulator
@@ -154,6 +155,24 @@ def test_an_untrained_net_is_the_simulator(nominal):
     said = made.forecast(batch)
     assert np.allclose(forecast.increments, said.increments, atol=2e-6)
     assert np.array_equal(forecast.contact, said.contact)
+
+
+def test_where_joints_are_simulated_no_recorded_ones_behind_the_beginning_of_a_loop_are_read(nominal):
+    feed = few_windows(nominal)
+    model = find_model("sim_residual")
+    module = model.build(tiny_config(model, **TINY), Sizes(**feed.sizes()), feed.normaliser)
+
+    def loop(source):
+        seen, made = course(source), simulator(source, None)
+        fed = replace(seen, joints=made.free_run(seen).joints)
+        return close_loop(fed, TrainedModel(module, torch.zeros(0, 0, 3), 1, 1, simulator=made), 2, 0)
+
+    rows = feed.cache.rows.copy()
+    begins = course(feed)
+    for episode, row in zip(begins.episodes, begins.windows.present_row, strict=True):
+        rows["joint_position"][row + 1 : feed.cache.end[episode]] += 0.2
+    other = replace(feed, cache=replace(feed.cache, rows=rows))
+    assert np.array_equal(loop(feed).poses, loop(other).poses)
 
 
 class TestTraining:
