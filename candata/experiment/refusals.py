@@ -60,7 +60,7 @@ def check_unseen(file: ExperimentFile, title: str, column: Column) -> None:
         return
     test = _content(file, column.real, file.data[column.real].split, "test")
     # Pre-training is by the default split, whatever the split of a real part.
-    splits = {column.sim: None, column.larger: None}
+    splits: dict[str | None, str | None] = {column.sim: None, column.larger: None}
     if column.diagnosed is not None:
         splits[column.diagnosed] = file.data[column.diagnosed].split
     for name, split in splits.items():

@@ -128,8 +128,11 @@ def make_sealed(
     episodes = world.train + world.test
     seal.parent.mkdir(parents=True, exist_ok=True)
     if world.hidden is None:
+        # What is 5 % off, or where an outside cause sits, is of one scene.
+        asked: dict[str, str | int | float] = {"cause": world.outside or "all_wrong", "seed": world.seed}
+        asked |= {"scene": scene.digest}
         sensed = scene if noise is None else replace(scene, file=scene.file.model_copy(update={"noise": noise}))
-        return _case(root, sensed, world, seal, episodes)
+        return _case(root, sensed, world, seal, asked)
     withheld = Withheld(read_randomisation(Path(world.hidden)), seal)
     options: SetOptions = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
     options |= {"noise": noise or True}
@@ -144,9 +147,8 @@ def _noise(path: str | None) -> Noise | None:
     return None if path is None else Noise.parse(read_yaml(Path(path), "the noise file"), path)
 
 
-def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, episodes: int) -> Dataset:
+def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, asked: dict[str, str | int | float]) -> Dataset:
     """Return recordings of a world with an outside cause, or in which everything is a little wrong; made at once."""
-    asked: dict[str, str | int | float] = {"cause": world.outside or "all_wrong", "seed": world.seed}
     if not seal.exists():
         salt = new_salt()
         label = _drawn_label(scene, world, np.random.default_rng(secret_number(world.seed, salt, "experiment")))
@@ -176,7 +178,7 @@ def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, episodes: in
                     point_cloud=cloud,
                     noise_seed=label.seed,
                 )
-                for i in range(episodes)
+                for i in range(world.train + world.test)
             ]
             made = hidden_world(scene, label, plans, world.duration_s)
             append(draft, made, Lineage(operation="sealed world", sealed=commitment(text, labels.salt)))

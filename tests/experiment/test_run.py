@@ -8,7 +8,7 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.effects import read_randomisation
-from candata.errors import CandataError
+from candata.errors import CandataError, UsageError
 from candata.experiment import plan_cells, read_experiment, run_experiment
 from candata.experiment.config import Generation, SealedWorld
 from candata.experiment.sources import make_sealed, opened_effects, set_options
@@ -126,6 +126,9 @@ def test_a_world_is_made_again_from_its_seal_alone(tmp_path, difference):
     assert sets[0].digest == sets[1].digest
     assert all(episode.meta.point_cloud and not episode.meta.effects for episode in sets[0])
     effects = opened_effects(tmp_path / "seals" / "seal.json", sets[0])
+    other = world.model_copy(update={"scene": "gripper_tabletop"})
+    with pytest.raises(UsageError, match=r"seal.* another"):
+        make_sealed(tmp_path / "c", other, tmp_path / "seals" / "seal.json", 1, None, lambda count: None)
     if "outside" in difference:
         assert effects is None
     elif "hidden" in difference:
