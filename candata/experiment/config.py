@@ -334,9 +334,18 @@ def _check_names(file: ExperimentFile, path: Path) -> None:
         _require("model", entry.model or name, MODELS.names(), where)
     for name in filter(None, (file.main, file.without_contact)):
         _require("model of the experiment", name, file.models, where)
-    for source in file.data.values():
+    for name, source in file.data.items():
         if source.sealed is not None and source.sealed.outside is not None:
             _require("outside cause", source.sealed.outside, CAUSES, where)
+        made, span_s = source.sealed or source.generate, file.windows.horizon / file.windows.rate_hz
+        if made is not None and made.duration_s < span_s:
+            raise UsageError(
+                f"the episodes of {name} are shorter than the horizon",
+                expected=f"duration_s of at least {span_s:g}, as `windows` says",
+                found=f"{made.duration_s:g}",
+                where=where,
+                fix="lengthen them, or shorten the horizon",
+            )
 
 
 def _require(kind: str, name: str, known_names: Iterable[str] | Mapping[str, Any], where: Where) -> None:

@@ -34,6 +34,7 @@ MADE = {"sim": {"generate": {"scene": "cube_toss", "episodes": 20}}, "real": {"s
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED}}}, "expected one of hidden, outside"),
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED | {"outside": "wnd"}}}}, "unknown outside cause"),
         ({"data": MADE, "models": {"mlp": {"config": {"widht": 3}}}}, "did you mean `width`"),
+        ({"data": MADE, "windows": {"horizon": 33}}, "the episodes of real are shorter than the horizon"),
         ({"data": MADE, "models": {"mlp": {"preset": "smal"}}}, "unknown preset 'smal'"),
         ({"data": MADE | {"real": {"sealed": SEALED | {"hidden": "no.yaml"}}}}, "the file of `hidden` is not there"),
         ({"data": {"sim": {"path": "sim"}, "real": {"path": "real", "recipe": "a.yaml"}}}, "expected one of path"),
