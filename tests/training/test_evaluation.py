@@ -56,7 +56,7 @@ def test_models_of_other_windows_and_channels_stand_on_one_page(make_run, datase
     (sampled,) = (track.sampled["second"] for track in tracks)
     assert sampled.shape == (8, len(tracks[0].truth), 7)
     assert sampled.std(axis=0)[-1, 0] > 0
-    assert found.notes == ("no simulator beside them: the recordings name no scene to simulate them in",)
+    assert found.notes == ("no simulator beside them: the recordings name no scene",)
 
 
 def test_joints_that_follow_a_servo_are_said_to(make_run, dataset):

@@ -178,7 +178,7 @@ class TestRefusals:
 
     def test_a_scene_of_the_recordings_that_is_not_there(self, nominal, tmp_path, rewritten):
         feed = gripper_windows(rewritten(tmp_path / "data", nominal, lambda _: {}, scene="gripper_tabletop+no_such"))
-        with pytest.raises(UsageError, match="is not there"):
+        with pytest.raises(UsageError, match="is not built in"):
             simulator(feed, None)
 
     def test_another_hand(self, nominal):
