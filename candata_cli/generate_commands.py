@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from candata.errors import UsageError
     from candata.schema.effect import EffectsFile
     from candata.schema.randomisation import RandomisationFile
+    from candata.schema.scene import Noise
     from candata.simulate.generate import Withheld
     from candata.simulate.recipe import SetOptions
 
@@ -64,6 +65,9 @@ Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
 ]
 WithNoise = Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")]
+NoiseFile = Annotated[
+    Path | None, typer.Option("--noise-from", metavar="FILE", help="Sensor noise, as `noise` of a scene, in its place.")
+]
 Taxels = Annotated[bool, typer.Option("--taxels", help="Add what 120 taxels a fingertip count.")]
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")]
 Withhold = Annotated[
@@ -113,6 +117,7 @@ def generate_sim(
     policy_module: PolicyModule = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
+    noise_from: NoiseFile = None,
     taxels: Taxels = False,
     jobs: Jobs = None,
     withhold: Withhold = None,
@@ -149,7 +154,7 @@ def generate_sim(
         check_output(out, "dataset")
     scene_name, options = _set_options(scene, objects, effects, randomise, withhold_from, policies, outcomes)
     options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s}
-    options |= {"noise": noise, "taxels": taxels}
+    options |= {"noise": _noise(noise, noise_from), "taxels": taxels}
     part = _shard(shard)
     if out is None or dry_run:
         from candata.simulate.forecast import forecast
@@ -210,11 +215,25 @@ def _set_options(
         "objects": _objects(objects),
         "effects": effects_file.effects if effects_file else (),
         "randomisation": random_file.effects if random_file else (),
+        "together": random_file.together if random_file else None,
         "disturbances": random_file.disturbances if random_file else None,
         "policies": tuple(policies.split(",")) if policies else (),
         "outcomes": parsed_outcomes(outcomes) if outcomes is not None else None,
     }
     return _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)), options
+
+
+def _noise(is_added: bool, path: Path | None) -> bool | Noise:
+    """Return whether the scene's sensor noise is added, or the noise of a file in its place."""
+    from candata.errors import UsageError
+    from candata.schema.scene import Noise
+    from candata.schema.yaml_text import read_yaml
+
+    if path is None:
+        return is_added
+    if not is_added:
+        raise UsageError("--no-noise and --noise-from at once", fix="leave one of them out")
+    return Noise.parse(read_yaml(path, "the noise file"), path)
 
 
 def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, salt: str | None) -> Withheld | None:
@@ -234,7 +253,7 @@ def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, sal
             expected="effects alone",
             fix="give disturbances by --randomise, in a set of their own",
         )
-    asked = hidden_file.effects if hidden_file is not None else effect_name
+    asked = hidden_file if hidden_file is not None else effect_name
     if asked is not None:
         check_output(seal, "file", "--seal")
     return None if asked is None else Withheld(asked, seal, salt)

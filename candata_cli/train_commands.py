@@ -1,4 +1,4 @@
-"""The commands of the dynamics model: train, evaluate."""
+"""The command that trains a dynamics model."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from candata_cli import console
 from candata_cli.outputs import check_output
+from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
@@ -20,23 +21,28 @@ if TYPE_CHECKING:
 #: Shortest time between two lines of progress [s].
 _EVERY_S = {True: 0.5, False: 10.0}
 
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
 Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
 Scaling = Annotated[
     str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
+]
+Initial = Annotated[Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")]
+ReadScene = Annotated[
+    str | None,
+    typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
+]
+Repair = Annotated[
+    Path | None, typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads.")
 ]
 CommandNoise = Annotated[float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def register(app: typer.Typer) -> None:
-    """Add `train` and `evaluate`."""
+    """Add `train`."""
     app.command(
         epilog="Examples: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first; "
         "candata train --data sim:0.7,real:0.3 --init runs/first --out runs/tuned"
     )(train)
-    app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
 
 
 @console.stoppable()
@@ -62,10 +68,10 @@ def train(
     history: Annotated[int | None, typer.Option("--history", min=1, help="Rows of the past, default 8.")] = None,
     horizon: Annotated[int | None, typer.Option("--horizon", min=1, help="Steps to forecast, default 16.")] = None,
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Rate of the model's steps, default 10.")] = None,
-    init: Annotated[
-        Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
-    ] = None,
+    init: Initial = None,
     normaliser: Scaling = None,
+    scene: ReadScene = None,
+    effects: Repair = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
     command_noise: CommandNoise = 0,
@@ -84,55 +90,25 @@ def train(
 
     check_output(out, "folder")
     refuse_foreign(out)
-    _need_torch()
+    need_torch()
+    from candata.effects import read_effects
     from candata.training import TrainRequest
 
-    _set_threads(threads)
+    set_threads(threads)
     noise = {"position_m": pose_noise_m, "rotation_rad": pose_noise_rad, "command": command_noise}
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
+    repair = None if effects is None else read_effects(effects).effects
+    request = TrainRequest(
+        model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene, repair
+    )
     _run(request, settings, {name: (path, version) for name, path in paths.items()}, out, device, json)
 
 
-@console.stoppable()
-def evaluate(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
-    data: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset to evaluate on: folder or registered name.")],
-    split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
-    execute: Annotated[
-        int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the page; RUN/evaluation by default.")] = None,
-    device: Device = "cpu",
-    threads: Threads = None,
-    version: Version = None,
-    json: Json = False,
-) -> None:
-    """Score a model on held-out episodes beside `the object stays` and `keeps its velocity`.
-
-    Forecasts from each window, and closed loops over whole episodes in which the model sees its own poses; joints
-    and actions are replayed. Writes evaluation.json and evaluation.html.
-    """
-    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
-    check_output(folder, "folder")
-    _need_torch()
-    from candata.reports.evaluation import summary, write_evaluation
-    from candata.training import EvaluationSettings
-    from candata.training import evaluate as judge
-
-    _set_threads(threads)
-    with console.stages() as stage:
-        evaluation_settings = EvaluationSettings(split, samples, steps, execute, seed, device)
-        evaluation, tracks = judge(run, console.open_named(data, version), evaluation_settings, stage)
-        stage("writing the page")
-        page = write_evaluation(evaluation, tracks, folder)
-    console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
-    console.note(f"page: {page}")
+def _simulating(stage: Callable[[str], None]) -> Callable[[int, int], None]:
+    """Return what tells how far the simulator's forecasts are."""
+    return lambda done_count, total: stage(f"simulating windows: {done_count:,} of {total:,}")
 
 
 def _run(
@@ -157,8 +133,10 @@ def _run(
     ):
         stage("reading the dataset")
         datasets = {name: console.open_named(path, version) for name, (path, version) in sources.items()}
-        job = prepare(datasets if request.mixture else datasets[""], request, settings, device, processes)
-        _tell_clipped(job, stage)
+        sources_read = datasets if request.mixture else datasets[""]
+        job = prepare(sources_read, request, settings, device, processes, _simulating(stage))
+        if processes.is_first:
+            _tell_notes(job, stage)
         if request.init is not None:
             stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
@@ -175,8 +153,10 @@ def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
     return console.stages() if speaks else nullcontext(lambda _text: None)
 
 
-def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:
-    """Tell how many values the normaliser clips."""
+def _tell_notes(job: TrainingJob, stage: Callable[[str], None]) -> None:
+    """Tell what the job notes, and how many values the normaliser clips."""
+    for note in job.notes:
+        console.note(note)
     if clip_counts := job.run.normaliser.get("clipped"):
         values = ", ".join(f"{name} {count:,}" for name, count in clip_counts.items())
         stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")
@@ -187,17 +167,6 @@ def _saved_text(out: Path) -> str:
     from candata.training.checkpoint import LAST_FILE
 
     return f"the last checkpoint stands in {out}" if (out / LAST_FILE).is_file() else "nothing was trained yet"
-
-
-def _need_torch() -> None:
-    """Refuse to begin without the packages that training needs."""
-    from importlib.util import find_spec
-
-    from candata.errors import MissingExtraError
-
-    for package in ("torch", "safetensors"):
-        if find_spec(package) is None:
-            raise MissingExtraError(package, "train")
 
 
 def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, str]]:
@@ -214,14 +183,6 @@ def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, 
     if version is not None:
         raise UsageError("--version is of one dataset", found=data, fix="leave --version out")
     return Mixture(names=tuple(paths), parts=stated_mixture.parts), paths
-
-
-def _set_threads(threads: int | None) -> None:
-    """Tell torch how many threads to use."""
-    import torch
-
-    if threads is not None:
-        torch.set_num_threads(threads)
 
 
 def _settings(

@@ -12,6 +12,9 @@ from candata.loaders.gather import Array, Batch
 from candata.rotation import exp
 from candata.schema.record import Record
 
+#: Entries of a batch that move with the object.
+_MOVED = {"history/object_pose", "future/object_pose", "simulated/object_pose"}
+
 
 class Normals(Protocol):
     """What draws standard normal numbers, as `numpy.random.Generator` does."""
@@ -51,7 +54,8 @@ def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: Normals
     """Return the batch with noise; the one given stays as it is.
 
     - The pose of the object: one shift d and one turn delta a window, the same for all rows of past and
-      future: p' = p + d, R' = R exp(delta^). The pose increments, which the models forecast, stay the same.
+      future, and for simulated poses, which move along: p' = p + d, R' = R exp(delta^). The pose increments, which the
+      models forecast, stay the same.
     - Commands: independent noise an element and row; a row that stands both in `history/action` or `future/action` and
       in `planned/action` has the same noise in both.
 
@@ -71,7 +75,7 @@ def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: Normals
     turn, shift = (rng.standard_normal((len(batch["history_pad"]), 3)) for _ in range(2))
     if "history/object_pose" in batch and (augmentation.position_m or augmentation.rotation_rad):
         matrix, offset = _rigid(augmentation.rotation_rad * turn, augmentation.position_m * shift)
-        for name in ("history/object_pose", "future/object_pose"):
+        for name in _MOVED & set(batch):
             out[name] = batch[name] @ _array_like(matrix, batch[name]) + _array_like(offset, batch[name])
     if "history/action" in batch and augmentation.command:
         history_rows = batch["history/action"].shape[1]

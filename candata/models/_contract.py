@@ -91,6 +91,9 @@ class Model:
         configuration's `seed` alone decides the first weights.
     optional : mapping of str to str
         Field of the configuration that is true or false, to the channel read where it is true.
+    needs_simulator : bool
+        Whether its batches hold what the simulator makes of each window: `simulated/object_pose (B, H, 7)` and
+        `simulated/contact (B, H)`, float32.
     """
 
     summary: str
@@ -99,6 +102,7 @@ class Model:
     parse: Callable[[Mapping[str, Any]], Record]
     build: Callable[[Any, Sizes, Any], Any]
     optional: Mapping[str, str] = field(default_factory=dict)
+    needs_simulator: bool = False
 
     def reads(self, config: Any) -> tuple[str, ...]:
         """Return the channels that windows must hold for this configuration."""

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from candata.errors import DataError
 from candata.models._activations import Mish
-from candata.models._config import DiffusionConfig
+from candata.models._config import UnetConfig
 from candata.models._contract import Batch, Sizes
 from candata.models._convolutions import as_image, convolution
 from candata.models._inputs import Inputs, Reader, turn_points
@@ -71,7 +71,7 @@ class PointNet(nn.Module):
 class HistoryEncoder(nn.Module):
     """All of the history as one vector z."""
 
-    def __init__(self, config: DiffusionConfig, sizes: Sizes, reader: Reader) -> None:
+    def __init__(self, config: UnetConfig, sizes: Sizes, reader: Reader) -> None:
         super().__init__()
         z, width, groups = config.latent, config.temporal_width, config.groups
         self.config = config
@@ -113,13 +113,7 @@ class HistoryEncoder(nn.Module):
         In the object's frame each cloud is encoded once; all of them, where they are no more than the windows, as
         finding the distinct ones would make a GPU wait.
         """
-        absent_names = [name for name in ("cloud", "clouds") if name not in batch]
-        if absent_names:
-            raise DataError(
-                "the windows lack their clouds",
-                expected="cloud (B) and clouds (C, N, 3)",
-                found=f"no {', '.join(absent_names)}",
-            )
+        _check_clouds(batch)
         cloud_index, clouds = batch["cloud"], batch["clouds"][:, : self.config.cloud_points]
         has_cloud, cloud_index = cloud_index[:, None] >= 0, cloud_index.clamp_min(0)
         if self.config.cloud == "world":
@@ -130,3 +124,26 @@ class HistoryEncoder(nn.Module):
                 clouds = clouds[distinct_clouds]
             features = self.cloud(clouds)[cloud_index]
         return torch.where(has_cloud, features, torch.zeros_like(features))
+
+
+def chosen_clouds(batch: Batch, points: int | None) -> tuple[Tensor, Tensor]:
+    """Return the first points of each window's cloud `(B, P, 3)` [m], and whether it has one `(B) bool`.
+
+    Raises
+    ------
+    DataError
+        When the batch has no clouds.
+    """
+    _check_clouds(batch)
+    return batch["clouds"][:, :points][batch["cloud"].clamp_min(0)], batch["cloud"] >= 0
+
+
+def _check_clouds(batch: Batch) -> None:
+    """Raise DataError when the batch has no clouds."""
+    absent_names = [name for name in ("cloud", "clouds") if name not in batch]
+    if absent_names:
+        raise DataError(
+            "the windows lack their clouds",
+            expected="cloud (B) and clouds (C, N, 3)",
+            found=f"no {', '.join(absent_names)}",
+        )

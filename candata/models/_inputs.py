@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -13,8 +14,12 @@ from candata.errors import DataError, UsageError
 from candata.loaders import Normaliser
 from candata.models._config import HistoryConfig
 from candata.models._contract import Batch, Sizes
+from candata.models._kinematics import Fingertips
 from candata.models._poses import increments, rotation_matrix, targets
 from candata.models._sharing import mean_count
+
+#: Divides distances from hand to object, so that those at hand are of size one [m]. A round number.
+HAND_SCALE_M = 0.1
 
 
 class Inputs(NamedTuple):
@@ -23,13 +28,13 @@ class Inputs(NamedTuple):
     Attributes
     ----------
     history : (B, K + 1, S)
-        Object, joints and actions at each past row, and whether the row is there.
+        Object, joints, actions and fingertips at each past row, and whether the row is there.
     place : (B, P)
         Attitude of the object at present and, where the configuration asks, its position.
     contact : (B, K + 1, 1 + F) or (B, K + 1, 0)
         Past contact as -1 and 1; 0 where it is not known.
-    plan : (B, H, A) or (B, H, 0)
-        Planned actions.
+    plan : (B, H, A + 3 F) or (B, H, 0)
+        Planned actions, and where the fingertips are when the joints have reached them.
     """
 
     history: Tensor
@@ -52,17 +57,18 @@ class Reader(nn.Module):
             ("joint", "joint_position", sizes.joints),
             ("action", "action", sizes.actuators),
         ):
-            centre, scale = normaliser.channel(channel)
+            centre, scale = normaliser.channel(channel) if columns else (np.zeros(0), np.zeros(0))
             self._keep(name, centre[:columns], scale[:columns], (columns,))
         if normaliser.increments is None:
             raise UsageError("the normaliser has no scale of pose increments", expected="windows with object_pose")
         centre, scale = normaliser.increments.arrays()
         self._keep("increment", centre, scale, (sizes.horizon, 6))
+        self.fingertips = Fingertips(config.hand) if config.fingertip_points and config.hand else None
 
     @property
     def history_size(self) -> int:
         """Columns of `Inputs.history`."""
-        return 3 + 6 + 6 + self.sizes.joints + self.sizes.actuators + 1
+        return 3 + 6 + 6 + self.sizes.joints + self.sizes.actuators + self.fingertip_size + 1
 
     @property
     def place_size(self) -> int:
@@ -78,7 +84,12 @@ class Reader(nn.Module):
     @property
     def plan_size(self) -> int:
         """Columns of `Inputs.plan`."""
-        return self.sizes.actuators * self.config.planned_actions
+        return (self.sizes.actuators + self.fingertip_size) * self.config.planned_actions
+
+    @property
+    def fingertip_size(self) -> int:
+        """Columns that say where the fingertips are; 0 where they are not read."""
+        return 0 if self.fingertips is None else 3 * len(self.fingertips.carriers)
 
     def forward(self, batch: Batch) -> Inputs:
         """Return what the network reads of a raw batch.
@@ -123,12 +134,19 @@ class Reader(nn.Module):
             offsets / self.get_buffer("position_scale"),
             _attitude_columns(poses),
             torch.cat([steps.new_zeros(len(steps), 1, 6), steps], dim=1),
-            self._read("joint", batch["history/joint_position"]),
-            self._read("action", batch["history/action"]),
         ]
+        rows += [self._read("joint", batch["history/joint_position"])] if self.sizes.joints else []
+        rows += [self._read("action", batch["history/action"])] if self.sizes.actuators else []
+        if self.fingertips is not None:
+            rows.append(self._tips(self.fingertips, batch["history/joint_position"].to(poses.dtype), poses[:, -1]))
         features = torch.cat(rows, dim=-1)
         features = torch.where(pad[..., None], torch.zeros_like(features), features)
         return torch.cat([features, (~pad)[..., None].to(features.dtype)], dim=-1)
+
+    def _tips(self, fingertips: Fingertips, joints: Tensor, present_pose: Tensor) -> Tensor:
+        """Return where the fingertips are from the object's present position `(B, T, 3 F)`, hand-sized about one."""
+        offsets = fingertips(joints) - present_pose[:, None, None, :3]
+        return offsets.flatten(-2) / HAND_SCALE_M
 
     def _contact(self, batch: Batch, pad: Tensor) -> Tensor:
         """Return the past contact as -1 and 1, 0 where padded."""
@@ -141,11 +159,16 @@ class Reader(nn.Module):
         return torch.where(pad[..., None], torch.zeros_like(signs), signs)
 
     def _plan(self, batch: Batch) -> Tensor:
-        """Return the planned actions, 0 at rows that are padded; planned row k is the episode's row t + k."""
-        if not self.config.planned_actions:
+        """Return the plan, 0 at rows that are padded; planned row k is the episode's row t + k."""
+        if not self.plan_size:
             size = (len(batch["history_pad"]), self.sizes.horizon, 0)
             return torch.zeros(size, dtype=self.increment_scale.dtype, device=batch["history_pad"].device)
         plan = self._read("action", batch["planned/action"])
+        if self.fingertips is not None:
+            present_joints, actions = batch["history/joint_position"][:, -1:].to(plan), batch["planned/action"].to(plan)
+            joints = self.fingertips.commanded(present_joints, actions)
+            tips = self._tips(self.fingertips, joints, batch["history/object_pose"][:, -1].to(plan))
+            plan = torch.cat([plan, tips], dim=-1)
         if "future_pad" not in batch:
             return plan
         pad = torch.cat([batch["history_pad"][:, -1:], batch["future_pad"][:, :-1]], dim=1)
@@ -176,18 +199,31 @@ class Reader(nn.Module):
     def _check(self, batch: Mapping[str, Tensor]) -> None:
         """Raise DataError when a name is missing."""
         config = self.config
-        required_names = ["history_pad", "history/object_pose", "history/joint_position", "history/action"]
+        required_names = ["history_pad", "history/object_pose"]
+        required_names += ["history/joint_position"] * bool(self.sizes.joints)
+        required_names += ["history/action"] * bool(self.sizes.actuators)
         required_names += ["history/contact"] * config.contact_history
         required_names += ["history/fingertip_contact"] * config.fingertip_contact
-        required_names += ["planned/action"] * config.planned_actions
-        absent_names = [name for name in required_names if name not in batch]
-        if absent_names:
-            raise DataError(
-                "the windows lack what the model reads",
-                expected=", ".join(required_names),
-                found=f"no {', '.join(absent_names)}",
-                fix="open the windows with the channels `MODEL.reads(config)` names",
-            )
+        required_names += ["planned/action"] * bool(self.plan_size)
+        require_names(batch, required_names)
+
+
+def require_names(batch: Mapping[str, Tensor], required_names: Sequence[str]) -> None:
+    """Return nothing when a batch has all of these names.
+
+    Raises
+    ------
+    DataError
+        When it lacks one.
+    """
+    absent_names = [name for name in required_names if name not in batch]
+    if absent_names:
+        raise DataError(
+            "the windows lack what the model reads",
+            expected=", ".join(required_names),
+            found=f"no {', '.join(absent_names)}",
+            fix="open the windows with the channels `MODEL.reads(config)` names",
+        )
 
 
 def known_steps(batch: Batch) -> Tensor:

@@ -1,4 +1,4 @@
-"""The denoiser: a 1D U-Net over the horizon, each of its blocks scaled and shifted by the condition (FiLM).
+"""A 1D U-Net over the horizon, each of its blocks scaled and shifted by the condition (FiLM).
 
 Sources: E. Perez et al., "FiLM", arXiv 1709.07871, eq. 1; the layout (two residual blocks a level, kernel 5, group
 norm, Mish) is that of C. Chi et al., "Diffusion Policy", arXiv 2303.04137, section III and its 1D CNN.
@@ -69,10 +69,11 @@ class TimeEmbedding(nn.Module):
 
 
 class UNet(nn.Module):
-    """Denoises a sequence; the condition enters by FiLM at every block.
+    """Maps a sequence to another; the condition enters by FiLM at every block, and so does a diffusion time, if any.
 
     The scales and shifts are linear in [time features; condition], so they are the sum of a part by window and a
-    part by time. Sampling computes the first once and the second for all its steps at once.
+    part by time. Sampling computes the first once and the second for all its steps at once. With `time_features` 0
+    there is no part by time.
     """
 
     def __init__(
@@ -100,8 +101,9 @@ class UNet(nn.Module):
         self.last = nn.Sequential(convolution(widths[0], widths[0], kernel, groups), output_layer)
         self.film_sizes = [4 * width for width in [*widths, widths[-1], *(b for _, b in upward_pairs)]]
         self.by_window = nn.Linear(condition, sum(self.film_sizes))
-        self.by_time = nn.Linear(time_features, sum(self.film_sizes), bias=False)
-        self.embed = TimeEmbedding(time_features)
+        if time_features:
+            self.by_time = nn.Linear(time_features, sum(self.film_sizes), bias=False)
+            self.embed = TimeEmbedding(time_features)
         self.activation = Mish()
 
     def window_film(self, condition: Tensor) -> Tensor:

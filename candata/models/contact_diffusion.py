@@ -6,16 +6,16 @@ Source: "Contact-Aware Neural Dynamics", arXiv 2601.12796; what it leaves open a
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from candata.loaders import Normaliser
-from candata.models._config import PRESETS, ContactConfig, check_sizes, parser
+from candata.models._config import DIFFUSION_PRESETS, ContactConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
 from candata.models._encoders import mlp
 from candata.models._inputs import masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 from candata.models.diffusion_unet import DiffusionUNet
 
 
@@ -67,16 +67,16 @@ class ContactDiffusion(DiffusionUNet):
         return torch.where(use, truth, predicted)
 
 
-def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> ContactDiffusion:
+def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: ContactDiffusion(config, sizes, normaliser))
+    return with_members(config, lambda: ContactDiffusion(config, sizes, normaliser))
 
 
 MODEL = Model(
     "forecasts contact, then pose increments by denoising diffusion under it",
     ("object_pose", "joint_position", "action", "contact"),
-    {name: ContactConfig(**values) for name, values in PRESETS.items()},
+    {name: ContactConfig(**values) for name, values in DIFFUSION_PRESETS.items()},
     parser(ContactConfig),
     _build,
     {"fingertip_contact": "fingertip_contact"},

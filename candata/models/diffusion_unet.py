@@ -6,12 +6,12 @@ import torch
 from torch import Tensor, nn
 
 from candata.loaders import Normaliser
-from candata.models._config import PRESETS, DiffusionConfig, check_sizes, parser
+from candata.models._config import DIFFUSION_PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, integers, normal
 from candata.models._encoders import HistoryEncoder
 from candata.models._inputs import Inputs, Reader, masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 from candata.models._unet import UNet
 
 
@@ -83,16 +83,16 @@ class DiffusionUNet(nn.Module):
         return output.transpose(1, 2)
 
 
-def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> DiffusionUNet:
+def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: DiffusionUNet(config, sizes, normaliser))
+    return with_members(config, lambda: DiffusionUNet(config, sizes, normaliser))
 
 
 MODEL = Model(
     "denoising diffusion over pose increments, blind to contact",
     ("object_pose", "joint_position", "action"),
-    {name: DiffusionConfig(**values) for name, values in PRESETS.items()},
+    {name: DiffusionConfig(**values) for name, values in DIFFUSION_PRESETS.items()},
     parser(DiffusionConfig),
     _build,
     {"contact_history": "contact", "fingertip_contact": "fingertip_contact"},

@@ -60,10 +60,15 @@ class RandomEffect(Record):
 
 
 class RandomisationFile(Record):
-    """A file for `generate-sim --randomise`: a scene, and effects and disturbances that are drawn for each episode."""
+    """A file for `generate-sim --randomise`: a scene, and effects and disturbances that are drawn for each episode.
+
+    With `together` so many of the effects act at once, from the fewest to the most, each number and each choice as
+    likely; their shares are not used then.
+    """
 
     scene: str | None = None
     effects: tuple[RandomEffect, ...] = ()
+    together: tuple[int, int] | None = Field(default=None, exclude_if=lambda value: value is None)
     disturbances: Disturbances | None = None
 
     @model_validator(mode="after")
@@ -71,4 +76,16 @@ class RandomisationFile(Record):
         """Refuse a file that draws nothing."""
         if not self.effects and self.disturbances in (None, Disturbances()):
             raise ValueError("expected effects or disturbances")
+        return self
+
+    @model_validator(mode="after")
+    def _has_so_many(self) -> Self:
+        """Refuse numbers of effects in the wrong order or beyond the list, and shares beside them."""
+        if self.together is None:
+            return self
+        fewest, most = self.together
+        if not 0 <= fewest <= most <= len(self.effects):
+            raise ValueError(f"together: expected [fewest, most], at most {len(self.effects)} effects")
+        if any(effect.share != 1 for effect in self.effects):
+            raise ValueError("together and share at once: leave one of them out")
         return self

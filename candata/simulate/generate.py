@@ -38,7 +38,7 @@ class Withheld:
 
     Attributes
     ----------
-    asked : str or tuple of RandomEffect
+    asked : str or RandomisationFile
         Name of an effect, or `any`; or a randomisation, of which one draw is the world of the whole set.
     seal : Path
         The sealed file, outside the dataset.
@@ -118,6 +118,7 @@ def generate(
     held_objects = checked_objects(recipe, model, episodes)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
+        held_objects = checked_objects(recipe, model, episodes)  # what was drawn has to be possible with each object
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
     history = lineage(recipe, model, tool_versions(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
@@ -194,14 +195,10 @@ def _refuse_failed(
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
     """Return the recipe with the drawn effects, its own random stream and its commitment."""
-    for is_given, words in (
-        (recipe.effects, "effects"),
-        (recipe.randomisation, "a randomisation"),
-        (recipe.objects, "several objects"),
-    ):
+    for is_given, words in ((recipe.effects, "effects"), (recipe.randomisation, "a randomisation")):
         if is_given:
             raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")
-    names = [withheld.asked] if isinstance(withheld.asked, str) else [effect.name for effect in withheld.asked]
+    names = [withheld.asked] if isinstance(withheld.asked, str) else [effect.name for effect in withheld.asked.effects]
     if recipe.step_policy is not None and {seals.ANY_EFFECT, "clock_drift"} & set(names):
         raise UsageError(
             "a clock that drifts cannot act in a closed loop, and might be drawn",

@@ -24,6 +24,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
 from candata.schema.record import Record
+from candata.schema.scene import Noise
 from candata.simulate.disturbances import check_disturbances
 from candata.simulate.episodes import EpisodeJob, planned
 from candata.simulate.randomisation import check_randomisation, drawn_effects
@@ -46,7 +47,8 @@ class GenerationRecipe(Record):
     nothing where the scene has no object. With a `step_policy` (what `read_step_policy` takes, its content named by
     `policy_digest`) that gives the commands of all episodes, and `policies` is its name. `disturbances` are drawn for
     each episode.
-    `outcomes` are the shares of wanted outcomes; none where any will do.
+    `outcomes` are the shares of wanted outcomes; none where any will do. `together` is how many effects of the
+    randomisation act at once. `noise` says whether the scene's sensor noise is added, or which noise in its place.
     """
 
     scene: str
@@ -59,11 +61,12 @@ class GenerationRecipe(Record):
     step_policy: str | None = None
     policy_digest: str | None = None
     duration_s: float
-    noise: bool
+    noise: bool | Noise
     taxels: bool = False
     objects: tuple[str, ...] = ()
     point_clouds: tuple[str, ...] = ()
     outcomes: dict[str, float] = Field(default_factory=dict)
+    together: tuple[int, int] | None = Field(default=None, exclude_if=lambda value: value is None)
     sealed: str | None = None
 
     @property
@@ -123,7 +126,12 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
     if recipe.step_policy is not None:
         _check_step_policy(recipe, scene)
     for index in indices if recipe.randomisation else ():
-        drawn_effects(recipe.randomisation, scene, recipe.seed, index)
+        _drawn_effects(recipe, scene, index)
+
+
+def _drawn_effects(recipe: GenerationRecipe, scene: Scene, index: int) -> tuple[EffectSetting, ...]:
+    """Return the effects of the randomisation that act in an episode."""
+    return drawn_effects(recipe.randomisation, scene, recipe.seed, index, recipe.together)
 
 
 def _check_step_policy(recipe: GenerationRecipe, scene: Scene) -> None:
@@ -169,7 +177,7 @@ def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Mo
         index=index,
         policy=recipe.policies[turn],
         seed=recipe.seed,
-        effects=(*recipe.effects, *drawn_effects(recipe.randomisation, scene, recipe.seed, index)),
+        effects=(*recipe.effects, *_drawn_effects(recipe, scene, index)),
         hidden=recipe.sealed is not None,
         point_cloud=recipe.point_clouds[scene_turn] if recipe.point_clouds else None,
         object=named_object(recipe.objects[scene_turn]).name if recipe.objects else None,
@@ -192,6 +200,13 @@ def _step_policy(source: str, digest: str) -> StepPolicy:
     if step_policy.digest != digest:
         raise DataError("the policy has changed while it was played", where=Where(path=source))
     return step_policy
+
+
+def noise_of(noise: bool | Noise, scene: Scene) -> Noise | None:
+    """Return the sensor noise of a set's episodes: the scene's, another in its place, or none."""
+    if isinstance(noise, bool):
+        return scene.file.noise if noise else None
+    return noise
 
 
 def motions_of(recipe: GenerationRecipe, scene: Scene) -> tuple[Motion, ...]:
@@ -256,7 +271,7 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         "scene_digest": scene.digest,
         "policies": list(recipe.policies),
         "duration_s": recipe.duration_s,
-        "noise": recipe.noise,
+        "noise": recipe.noise if isinstance(recipe.noise, bool) else recipe.noise.model_dump(mode="json"),
     }
     if recipe.taxels:
         details["taxels"] = True
@@ -272,6 +287,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
         if recipe.randomisation:
             details["randomisation"] = [e.model_dump(mode="json", exclude_none=True) for e in recipe.randomisation]
+        if recipe.together is not None:
+            details["together"] = list(recipe.together)
     seeds = () if is_withheld else (recipe.seed,)
     return Lineage(
         operation=OPERATION,

@@ -20,7 +20,7 @@ from candata.scenes import Scene, load_scene
 from candata.scenes.labels import with_labels
 from candata.schema.episode import Episode
 from candata.schema.quarantine import QuarantinedEpisode
-from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
+from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of, noise_of
 
 T = TypeVar("T")
 #: How long a stopped worker may take to remove what it has half written [s].
@@ -86,7 +86,7 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...], str
     for name, scene_numbers in by_scene.items():
         scene = _scene(name, plan.taxels)
         motions = motions_of(plan, scene)
-        noise = scene.file.noise if plan.noise else None
+        noise = noise_of(plan.noise, scene)
         batch = [job(plan, number, scene, motions) for number in scene_numbers]
         wanted = [plan.wanted(number) for number in scene_numbers]
         results = attempted_episodes(scene, batch, wanted, duration_s=plan.duration_s, noise=noise)

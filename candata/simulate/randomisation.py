@@ -19,7 +19,11 @@ MOST_DRAWS = 1000
 
 
 def drawn_effects(
-    randomisation: Sequence[RandomEffect], scene: Scene, seed: int, index: int
+    randomisation: Sequence[RandomEffect],
+    scene: Scene,
+    seed: int,
+    index: int,
+    together: tuple[int, int] | None = None,
 ) -> tuple[EffectSetting, ...]:
     """Return the effects of one episode, in the order of the randomisation.
 
@@ -33,6 +37,8 @@ def drawn_effects(
         Where the episode plays: its ranges cut normal distributions.
     seed, index : int
         Seed of the set, and number of the episode.
+    together : (int, int), optional
+        Fewest and most effects that act at once; each effect by its own share without it.
 
     Raises
     ------
@@ -40,11 +46,20 @@ def drawn_effects(
         When no draw of a normal distribution lies in the range of its effect.
     """
     effects = []
+    places = _drawn_places(len(randomisation), together, np.random.default_rng([seed, index, EFFECT_STREAM]))
     for place, random_effect in enumerate(randomisation):
         rng = np.random.default_rng([seed, index, EFFECT_STREAM, place])
-        if rng.random() < random_effect.share:
+        if rng.random() < random_effect.share and place in places:
             effects.append(_drawn_setting(random_effect, scene, rng))
     return tuple(effects)
+
+
+def _drawn_places(count: int, together: tuple[int, int] | None, rng: np.random.Generator) -> frozenset[int]:
+    """Return the places of the effects that may act: all, or as many as may act together."""
+    if together is None:
+        return frozenset(range(count))
+    number = int(rng.integers(together[0], together[1] + 1))
+    return frozenset(int(place) for place in rng.permutation(count)[:number])
 
 
 def check_randomisation(randomisation: Sequence[RandomEffect], scene: Scene) -> None:

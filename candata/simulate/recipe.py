@@ -19,6 +19,7 @@ from candata.scenes.object_folder import named_object
 from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.randomisation import RandomEffect
+from candata.schema.scene import Noise
 from candata.simulate.jobs import GenerationRecipe, check, policies_with_goal, possible_policies
 
 
@@ -35,7 +36,8 @@ def make_recipe(
     policy_file: str | Path | None = None,
     step_policy: str | None = None,
     duration_s: float = 3.2,
-    noise: bool = True,
+    together: tuple[int, int] | None = None,
+    noise: bool | Noise = True,
     taxels: bool = False,
     outcomes: Mapping[str, float] | None = None,
 ) -> GenerationRecipe:
@@ -66,8 +68,10 @@ def make_recipe(
         What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
     duration_s : float
         Length of an episode; what a policy file holds has its own.
-    noise : bool
-        Add the sensor noise that the scene declares.
+    together : (int, int), optional
+        Fewest and most effects of the randomisation that act at once; else each acts by its own share.
+    noise : bool or Noise
+        Whether to add the sensor noise that the scene declares, or the noise to add in its place.
     taxels : bool
         Add what the taxels of each fingertip count.
     outcomes : mapping of str to float, optional
@@ -90,6 +94,7 @@ def make_recipe(
         disturbances=disturbances,
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
+        together=together,
         noise=noise,
         taxels=taxels,
         outcomes=dict(sorted((outcomes or {}).items())),
@@ -127,7 +132,8 @@ class SetOptions(TypedDict, total=False):
     policy_file: str | Path | None
     step_policy: str | None
     duration_s: float
-    noise: bool
+    together: tuple[int, int] | None
+    noise: bool | Noise
     taxels: bool
     outcomes: Mapping[str, float] | None
 

@@ -23,8 +23,9 @@ from candata.schema.disturbance import Disturbances
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import VersionFile
 from candata.schema.record import Record
+from candata.schema.scene import Noise
 from candata.simulate.episodes import EpisodeJob, make_episodes
-from candata.simulate.jobs import OPERATION, tool_versions
+from candata.simulate.jobs import OPERATION, noise_of, tool_versions
 from candata.simulate.perturbation import Draw
 
 #: Number of an episode, at the end of its id (`candata.simulate.jobs.episode_id`).
@@ -40,7 +41,7 @@ class _Details(Record):
     scene_digest: str
     policies: tuple[str, ...]
     duration_s: float
-    noise: bool
+    noise: bool | Noise
     objects: dict[str, str] = Field(default_factory=dict)
     policy_file: str | None = None
     step_policy: str | None = None
@@ -275,7 +276,7 @@ def _simulated(
         disturbances=generation.details.disturbances,
         draw=Draw.kept(meta.labels),
     )
-    noise = scene.file.noise if generation.details.noise else None
+    noise = noise_of(generation.details.noise, scene)
     (episode,) = make_episodes(scene, [job], duration_s=generation.details.duration_s, noise=noise)
     return Episode(meta, episode.arrays)
 

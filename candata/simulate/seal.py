@@ -20,14 +20,14 @@ from candata.errors import DataError, UsageError, Where
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.json_text import parse_json, read_json
-from candata.schema.randomisation import RandomEffect, RandomisationFile
+from candata.schema.randomisation import RandomisationFile
 from candata.schema.record import Record
 from candata.schema.text_bounds import TextError
 from candata.simulate.randomisation import check_randomisation, drawn_effects
 
 ANY_EFFECT = "any"
 #: What may be withheld: an effect by name, or any; or all that is drawn of a randomisation.
-Asked = str | tuple[RandomEffect, ...]
+Asked = str | RandomisationFile
 SALT_BYTES = 32
 #: Rights of a sealed file: its owner reads and writes it.
 _OWNER_ALONE = 0o600
@@ -83,7 +83,7 @@ def draw(scene: Scene, asked: Asked, seed: int, salt: str) -> Seal:
     ----------
     scene : Scene
         Where it acts.
-    asked : str or tuple of RandomEffect
+    asked : str or RandomisationFile
         Name of the effect, or `any`: each possible one is as likely. Of a randomisation, one draw for the whole set.
     seed : int
         The set's seed.
@@ -101,8 +101,9 @@ def draw(scene: Scene, asked: Asked, seed: int, salt: str) -> Seal:
     if isinstance(asked, str):
         label = canonical(_drawn_effect(scene, asked, seed, salt))
     else:
-        check_randomisation(asked, scene)
-        effects = drawn_effects(asked, scene, secret_number(seed, salt, "randomisation"), 0)
+        check_randomisation(asked.effects, scene)
+        secret_seed = secret_number(seed, salt, "randomisation")
+        effects = drawn_effects(asked.effects, scene, secret_seed, 0, asked.together)
         label = canonical(EffectsFile(effects=effects))
     return Seal(
         scene_digest=scene.digest,
@@ -118,7 +119,8 @@ def _asked_text(asked: Asked) -> str:
     """Return what a seal says of what was asked for."""
     if isinstance(asked, str):
         return asked
-    return f"randomisation {hashlib.sha256(canonical(RandomisationFile(effects=asked)).encode()).hexdigest()}"
+    drawn_from = RandomisationFile(effects=asked.effects, together=asked.together)
+    return f"randomisation {hashlib.sha256(canonical(drawn_from).encode()).hexdigest()}"
 
 
 def _drawn_effect(scene: Scene, effect_name: str, seed: int, salt: str) -> EffectSetting:

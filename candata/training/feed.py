@@ -10,10 +10,13 @@ import torch
 from numpy.typing import NDArray
 
 from candata.errors import SetupError
-from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
+from candata.loaders import Gather, MixedWindows, SimulatedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
 from candata.training.processes import ALONE, Processes
 from candata.training.settings import TrainingSettings
+
+#: What batches may come from.
+AnyWindows = Windows | MixedWindows | SimulatedWindows
 
 
 def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> dict[str, torch.Tensor]:
@@ -22,13 +25,13 @@ def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> 
     return device_tensors | {"clouds": clouds}
 
 
-def clouds_of(windows: Windows | MixedWindows, device: str) -> torch.Tensor:
+def clouds_of(windows: AnyWindows, device: str) -> torch.Tensor:
     """Return the windows' distinct point clouds `(C, N, 3)` on the device."""
     return torch.from_numpy(windows.clouds).to(device)
 
 
 def drawing(
-    windows: Windows | MixedWindows, settings: TrainingSettings, device: str, processes: Processes = ALONE
+    windows: AnyWindows, settings: TrainingSettings, device: str, processes: Processes = ALONE
 ) -> Callable[[int], Batch]:
     """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
 
@@ -66,13 +69,13 @@ class _Normals:
         return whole[first : first + rows]
 
 
-def held_out(windows: Windows | MixedWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
+def held_out(windows: AnyWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
     """Return up to `batches` batches, spread evenly over the windows, or drawn in a mixture's shares; always the same.
 
     They have no noise.
     """
     count = min(len(windows), batch * batches)
-    if isinstance(windows, MixedWindows):
+    if isinstance(windows.windows if isinstance(windows, SimulatedWindows) else windows, MixedWindows):
         numbers = windows.sampler(count).indices(0)
     else:
         numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
@@ -82,7 +85,7 @@ def held_out(windows: Windows | MixedWindows, batch: int, batches: int, device: 
     )
 
 
-def _source(windows: Windows | MixedWindows, device: str) -> Windows | MixedWindows | Gather:
+def _source(windows: AnyWindows, device: str) -> AnyWindows | Gather:
     """Return where batches are gathered: on the GPU, where the rows fit, else on the host."""
     if device == "cpu":
         return windows

@@ -46,6 +46,8 @@ class TrainingJob:
         Who trains, kept in the run's folder.
     effective : callable
         Steps to what each source of a mixture really gave by then; empty for one dataset.
+    notes : tuple of str
+        What people should know before it begins.
     processes : Processes
         Those that train together; `draw` gives the rows of this one.
     """
@@ -57,6 +59,7 @@ class TrainingJob:
     device: str = "cpu"
     split: Record | None = None
     effective: Callable[[int], tuple[Effective, ...]] = lambda _steps: ()
+    notes: tuple[str, ...] = ()
     processes: Processes = ALONE
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.errors import UsageError
+from candata.reports import filmstrip
 from candata.training import TrainingSettings, TrainRequest, prepare
 from candata.training.processes import Processes
 from candata.training.results import Evaluation
@@ -90,20 +92,60 @@ def test_train_prints_json(trained):
     assert json.loads(done.out)["step"] == 6
 
 
-def test_evaluate_prints_a_row_each_and_writes_both_files(trained, tmp_path):
+@pytest.fixture
+def small_pictures(monkeypatch):
+    """Pictures of few pixels, drawn without a GL library."""
+    monkeypatch.setenv("CANDATA_GL", "off")
+    monkeypatch.setattr(filmstrip, "WIDTH", 48)
+    monkeypatch.setattr(filmstrip, "HEIGHT", 40)
+
+
+def test_evaluate_prints_a_row_each_and_writes_both_files(trained, tmp_path, small_pictures):
     done = run("evaluate", trained.out, trained.data, "--out", tmp_path / "page")
-    assert done.code == 0
+    assert done.code == 0, done.err
     rows = [line.split()[0] for line in done.out.splitlines() if line and line[0] != " "]
-    assert {"mlp", "stays", "keeps_velocity"} <= set(rows)
+    assert {"run", "simulator", "stays", "keeps_velocity"} <= set(rows)
+    assert "1 test trajectories are fewer than 30: the tables have no intervals" in done.out
     assert sorted(p.name for p in (tmp_path / "page").iterdir()) == ["evaluation.html", "evaluation.json"]
     assert done.err.endswith(f"page: {tmp_path / 'page' / 'evaluation.html'}\n")
     found = Evaluation.model_validate_json((tmp_path / "page" / "evaluation.json").read_text())
-    assert (found.model, found.group, found.episodes, found.samples, found.execute) == ("mlp", "test", 1, 16, 8)
+    assert (found.group, found.episodes, found.samples, found.joints_from) == ("test", 1, 16, "recorded")
+    assert (found.models["run"].model, found.models["run"].execute) == ("mlp", 8)
+    # The episodes were simulated in this very scene: what the simulator errs by is what its start is not known by.
+    simulated, still = (found.forecasters[name].closed_loop.adds_auc for name in ("simulator", "stays"))
+    assert simulated > max(0.97, still)
+    assert (tmp_path / "page" / "evaluation.html").read_text().count("<img ") == 15
 
 
-def test_evaluate_prints_json(trained, tmp_path):
-    done = run("evaluate", trained.out, trained.data, "--split", "val", "--out", tmp_path, "--json")
-    assert Evaluation.model_validate_json(done.out).group == "val"
+def test_evaluate_compares_runs_and_a_repair_and_prints_json(trained, tmp_path, small_pictures):
+    second, effects = tmp_path / "second", tmp_path / "effects.yaml"
+    shutil.copytree(trained.out, second)
+    effects.write_text("scene: xhand_tabletop\neffects: [{name: object_mass, parameters: {mass_scale: 2.0}}]\n")
+    fixed = ("--split", "val", "--samples", 1, "--no-baselines", "--joints", "simulator", "--effects", effects)
+    done = run("evaluate", trained.out, second, trained.data, *fixed, "--out", tmp_path / "page", "--json")
+    assert done.code == 0, done.err
+    found = Evaluation.model_validate_json(done.out)
+    assert (found.group, list(found.forecasters)) == ("val", ["run", "second", "simulator", "repaired simulator"])
+    assert found.forecasters["run"].closed_loop == found.forecasters["second"].closed_loop
+    assert found.simulators["repaired simulator"].effects[0].name == "object_mass"
+    assert found.joints_from == "repaired simulator"
+    # Twice the mass is wrong for these episodes.
+    assert found.pair("simulator", "repaired simulator").value > 0
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--joints", "servos"), "did you mean 'servo'"),
+        (("--scene", "gripper_tabletop"), "does not fit scene gripper_tabletop"),
+        (("--scene", "nowhere"), "unknown scene"),
+        (("--effects", "nowhere.yaml"), "nowhere.yaml"),
+        (("--no-simulator", "--scene", "xhand_tabletop"), "leave --no-simulator out"),
+    ],
+)
+def test_evaluate_names_a_wrong_word(trained, tmp_path, more, said):
+    done = run("evaluate", trained.out, trained.data, "--out", tmp_path / "page", *more)
+    assert (done.code, said in done.err) == (2, True), done.err
 
 
 #: The losses of two processes equal those of one within this: sums round apart.
@@ -161,7 +203,7 @@ def test_fine_tuning_says_its_rate(trained, tmp_path):
 def test_data_without_a_hand_is_refused_in_one_message(tosses, tmp_path):
     done = run("train", "--data", tosses, "--model", "contact_diffusion", "--out", tmp_path / "run", "--steps", 2)
     assert done.code == 2
-    assert "the dataset lacks the channel joint_position" in done.err
+    assert "the dataset lacks the channel contact" in done.err
     assert not (tmp_path / "run").exists()
 
 

@@ -8,6 +8,7 @@ import torch
 from candata.errors import DataError, UsageError
 from candata.models import Sizes, model, targets
 from candata.models._inputs import known_steps, masked_mean, turn_points
+from candata.schema.kinematics import HandKinematics, JointScrew, TipPoint
 
 
 def test_targets_are_scaled_and_come_back(tiny, batch):
@@ -29,7 +30,7 @@ def test_nothing_is_known_from_a_present_that_is_not_there():
     assert not known_steps(windows).any()
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "particle", "contact_diffusion"])
 def test_the_shortest_windows(name, tiny, batch, generator):
     sizes = Sizes(history=1, horizon=1, joints=3, actuators=3, fingertips=2, points=16)
     net, windows = tiny(name, sizes), batch(3, sizes=sizes)
@@ -51,7 +52,7 @@ def test_contact_is_signed_and_blank_where_padded(tiny, batch):
     assert set(found[:, 1:].unique().tolist()) == {-1.0, 1.0}
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "contact_diffusion"])
 def test_padded_history_is_not_read(name, tiny, batch, awake, generator):
     windows, net = batch(3), awake(tiny(name, fingertip_contact=True))
     whole = net.forecast(windows, 2, 2, generator(0)).increments
@@ -65,7 +66,7 @@ def test_padded_history_is_not_read(name, tiny, batch, awake, generator):
     assert not torch.equal(before, whole)
 
 
-@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+@pytest.mark.parametrize("name", ["mlp", "unet", "contact_diffusion"])
 @pytest.mark.parametrize("world_position", [False, True])
 def test_moving_the_world(name, world_position, tiny, batch, awake, generator):
     windows, net = batch(3), awake(tiny(name, world_position=world_position))
@@ -120,6 +121,8 @@ def test_a_window_without_a_cloud_reads_none(tiny, batch, awake, generator):
         ("diffusion_unet", "planned/action"),
         ("contact_diffusion", "history/contact"),
         ("diffusion_unet", "clouds"),
+        ("particle", "history/object_pose"),
+        ("unet", "planned/action"),
     ],
 )
 def test_a_name_that_is_missing_is_told(name, lost, tiny, batch, generator):
@@ -146,3 +149,40 @@ def test_data_without_clouds_need_a_model_without(normaliser):
     with pytest.raises(UsageError, match="set the model's `cloud` to `none`"):
         found.build(found.presets["small"], sizes, normaliser())
     assert found.build(found.parse({"cloud": "none"}), sizes, normaliser())
+    particle = model("particle")
+    with pytest.raises(UsageError, match="take a model that reads none"):
+        particle.build(particle.presets["small"], sizes, normaliser())
+
+
+#: A ball that a slide along x carries from the origin.
+SLIDER = HandKinematics(
+    screws=(JointScrew(parent=-1, axis=(1, 0, 0), anchor_m=(0, 0, 0), slides=True, joint=0),),
+    tips=(TipPoint(carrier=0, centre_m=(0, 0, 0), radius_m=0.01),),
+    driven_joints=(-1, 0),
+)
+
+
+def test_fingertips_are_read_from_where_the_object_is(tiny, batch):
+    windows = batch(3)
+    inputs = tiny("mlp", hand=SLIDER).reader(windows)
+    position = windows["history/object_pose"][:, -1, :3]
+    past, planned = (torch.zeros(3, rows, 3) - position[:, None] for rows in (4, 8))
+    past[..., 0] += windows["history/joint_position"][..., 0]
+    planned[..., 0] += windows["planned/action"][..., 1]
+    torch.testing.assert_close(inputs.history[..., -4:-1], past / 0.1)
+    torch.testing.assert_close(inputs.plan[..., 2:], planned / 0.1)
+
+
+def test_fingertips_are_blank_where_padded(tiny, batch):
+    windows = batch(2)
+    windows["history_pad"][:, :2] = True
+    windows["future_pad"][:, 5:] = True
+    inputs = tiny("mlp", hand=SLIDER).reader(windows)
+    assert not inputs.history[:, :2].any()
+    assert not inputs.plan[:, 6:].any()
+
+
+def test_the_paper_reads_no_fingertips(tiny, batch):
+    reader = tiny("mlp", hand=SLIDER, fingertip_points=False, planned_actions=False).reader
+    assert (reader.fingertip_size, reader.plan_size) == (0, 0)
+    assert reader(batch(2)).history.shape[-1] == reader.history_size

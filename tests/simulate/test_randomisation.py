@@ -10,9 +10,11 @@ from candata.effects import flatten
 from candata.errors import UnknownNameError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
-from candata.schema.randomisation import RandomEffect
+from candata.schema.randomisation import RandomEffect, RandomisationFile
+from candata.schema.scene import Noise, Tracker
 from candata.simulate.generate import Withheld, generate
 from candata.simulate.randomisation import check_randomisation, drawn_effects
+from candata.simulate.repetition import repeat_episode
 
 TOSS = {"scene": "cube_toss", "episodes": 18, "seed": 7, "duration_s": 0.2}
 #: Draws from which shares and means are taken.
@@ -183,3 +185,46 @@ def test_drawn_effects_mix_with_no_others(tmp_path):
     with pytest.raises(UsageError, match="a randomisation and a withheld effect at once"):
         generate(tmp_path / "set", **TOSS, randomisation=[MASS], withheld=Withheld("any", tmp_path / "seal.json"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_so_many_effects_act_together_as_the_file_says(gripper):
+    file = RandomisationFile.model_validate(
+        {
+            "together": [1, 2],
+            "effects": [
+                {"name": "object_mass", "parameters": {"mass_scale": 1.5}},
+                {"name": "sliding_friction", "parameters": {"scale": 0.5}},
+                {"name": "servo_gain", "parameters": {"kp_scale": 0.7}},
+            ],
+        }
+    )
+    drawn = [drawn_effects(file.effects, gripper, 1, index, file.together) for index in range(600)]
+    sizes = np.array([len(effects) for effects in drawn])
+    # Four standard errors of 600 draws of probability 0.5 are 0.082; each effect acts in half of the episodes.
+    assert set(sizes) == {1, 2}
+    assert (sizes == 1).mean() == pytest.approx(0.5, abs=0.082)
+    for effect in file.effects:
+        share = np.mean([effect.name in [s.name for s in effects] for effects in drawn])
+        assert share == pytest.approx(0.5, abs=0.082)
+
+
+@pytest.mark.parametrize(
+    ("together", "share", "error"),
+    [([2, 1], 1.0, "at most 1 effects"), ([0, 2], 1.0, "at most 1 effects"), ([1, 1], 0.5, "together and share")],
+)
+def test_numbers_of_effects_that_cannot_be_are_refused(together, share, error):
+    mass = {"name": "object_mass", "share": share, "parameters": {"mass_scale": 1.5}}
+    with pytest.raises(UsageError, match=error):
+        RandomisationFile.parse({"together": together, "effects": [mass]}, "the file")
+
+
+def test_the_noise_of_a_set_may_be_another_than_the_scenes(tmp_path):
+    set_options = {"scene": "cube_toss", "episodes": 1, "seed": 1, "duration_s": 0.3, "workers": 1}
+    slow = Noise(tracker=Tracker(rate_hz=15, delay_s=0.05))
+    generate(tmp_path / "quiet", **set_options, noise=False)
+    generate(tmp_path / "slow", **set_options, noise=slow)
+    (quiet,), (tracked,) = (list(open_dataset(tmp_path / name)) for name in ("quiet", "slow"))
+    rows = len(np.unique(tracked.arrays["object_pose"], axis=0))
+    assert rows < len(np.unique(quiet.arrays["object_pose"], axis=0)) / 4
+    again = repeat_episode(open_dataset(tmp_path / "slow"), tracked.meta.id)
+    np.testing.assert_array_equal(again.arrays["object_pose"], tracked.arrays["object_pose"])

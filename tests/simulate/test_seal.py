@@ -9,11 +9,13 @@ import stat
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 
 from candata.datasets import open_dataset, pending_parts
 from candata.effects import effect, effect_names, flatten
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.scenes import load_scene
+from candata.scenes.object_making import ObjectSource, make_object
 from candata.schema.randomisation import RandomisationFile
 from candata.simulate import open_seal
 from candata.simulate.generate import Withheld, generate
@@ -34,7 +36,7 @@ WORLD = RandomisationFile.model_validate(
             {"name": "pose_latency", "share": 0.5, "parameters": {"latency_s": {"normal": [0.03, 0.01]}}},
         ]
     }
-).effects
+)
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +142,8 @@ def test_a_world_of_several_effects_is_drawn_once_for_the_whole_set(tmp_path, ha
     withhold(tmp_path, WORLD)
     data = open_dataset(tmp_path / "set")
     truth = open_seal(tmp_path / "set.seal.json", data)
-    assert [e.name for e in truth] in ([e.name for e in WORLD], [e.name for e in WORLD[:2]])
+    names = [effect.name for effect in WORLD.effects]
+    assert [effect.name for effect in truth] in (names, names[:2])
     assert 0.5 <= truth[0].parameters["kp_scale"] <= 0.8
     stream = read_seal(tmp_path / "set.seal.json").stream
     generate(tmp_path / "same", **{**SHORT, "seed": stream}, effects=truth)
@@ -149,7 +152,7 @@ def test_a_world_of_several_effects_is_drawn_once_for_the_whole_set(tmp_path, ha
     withhold(tmp_path, WORLD)  # the same again adds nothing
     assert len(open_dataset(tmp_path / "set")) == 3
     with pytest.raises(UsageError, match="the sealed file belongs to another set: its asked differs"):
-        withhold(tmp_path, WORLD[:2])
+        withhold(tmp_path, WORLD.model_copy(update={"effects": WORLD.effects[:2]}))
 
 
 def test_seed_and_salt_decide_the_draw_of_a_world(hand):
@@ -242,3 +245,13 @@ def test_a_draw_is_clearly_not_the_identity(hand, name):
             if p.size(hand) > 1:
                 reach = np.abs(np.array(p.draws(hand)) - p.identity(hand)).max()
                 assert np.abs(x - p.identity(hand)).max() >= reach / 2
+
+
+def test_what_is_withheld_acts_with_each_of_several_objects(tmp_path):
+    mass = {"name": "object_mass", "parameters": {"mass_scale": {"uniform": [1.5, 2.0]}}}
+    world = RandomisationFile.model_validate({"together": [1, 1], "effects": [mass]})
+    trimesh.creation.box((0.05, 0.03, 0.02)).export(tmp_path / "block.stl")
+    make_object(ObjectSource(tmp_path / "block.stl", "block", 0.1), tmp_path / "block", drops=20)
+    withhold(tmp_path, world, scene="cube_toss", episodes=2, objects=("can", str(tmp_path / "block")))
+    assert [e.meta.object for e in open_dataset(tmp_path / "set")] == ["can", "block"]
+    assert [effect.name for effect in read_seal(tmp_path / "set.seal.json").effects] == ["object_mass"]

@@ -1,0 +1,72 @@
+"""`unet`: the deterministic baseline: the denoiser's U-Net over the horizon, without noise or diffusion time.
+
+Source: the UNet baseline of "Contact-Aware Neural Dynamics", arXiv 2601.12796, which says no more of it.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from candata.loaders import Normaliser
+from candata.models._config import UNET_PRESETS, UnetConfig, check_sizes, parser
+from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
+from candata.models._encoders import HistoryEncoder
+from candata.models._inputs import Reader, masked_mean
+from candata.models._members import with_members
+from candata.models._unet import UNet
+
+
+class Unet(nn.Module):
+    """Encodes the history to z and maps the plan to H pose increments under it; all samples are equal."""
+
+    places: Tensor
+
+    def __init__(self, config: UnetConfig, sizes: Sizes, normaliser: Normaliser, step_features: int = 0) -> None:
+        super().__init__()
+        self.reader = Reader(config, sizes, normaliser)
+        self.encoder = HistoryEncoder(config, sizes, self.reader)
+        inputs = 1 + self.reader.plan_size + step_features
+        self.unet = UNet(inputs, 6, config.latent, 0, config.widths, config.kernel, config.groups)
+        # Without a plan the sequence still says which step is which.
+        self.register_buffer("places", torch.linspace(-1, 1, sizes.horizon), persistent=False)
+
+    def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
+        """Return `loss`, the mean squared error of the normalised increments over the steps that are known."""
+        value, is_known = self.reader.target(batch)
+        return {"loss": masked_mean((self._normalised_increments(batch) - value).square().mean(-1), is_known)}
+
+    @torch.no_grad()
+    def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
+        """Return the one forecast, `samples` times; `steps` and `generator` change nothing."""
+        increments = self.reader.to_si(self._normalised_increments(batch))
+        return Forecast(increments.expand(samples, *increments.shape), None)
+
+    def _normalised_increments(self, batch: Batch) -> Tensor:
+        """Return normalised increments `(B, H, 6)`."""
+        return self.outputs(batch)
+
+    def outputs(self, batch: Batch, step_features: tuple[Tensor, ...] = ()) -> Tensor:
+        """Return what the network gives `(B, H, 6)`, also of further features `(B, H, C)` of each step."""
+        inputs = self.reader(batch)
+        film = self.unet.window_film(self.encoder(batch, inputs))
+        places = self.places.expand(len(film), 1, -1)
+        steps = [places, *(features.transpose(1, 2) for features in (inputs.plan, *step_features))]
+        increments: Tensor = self.unet(torch.cat(steps, dim=1), film)
+        return increments.transpose(1, 2)
+
+
+def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
+    """Return the module with the first weights of the configuration's seed."""
+    check_sizes(config, sizes)
+    return with_members(config, lambda: Unet(config, sizes, normaliser))
+
+
+MODEL = Model(
+    "deterministic U-Net: history and plan to pose increments",
+    ("object_pose", "joint_position", "action"),
+    {name: UnetConfig(**values) for name, values in UNET_PRESETS.items()},
+    parser(UnetConfig),
+    _build,
+    {"contact_history": "contact", "fingertip_contact": "fingertip_contact"},
+)
