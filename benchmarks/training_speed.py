@@ -5,9 +5,9 @@
 Training: whole steps of the loop (losses, gradient, clipping, optimiser, average of the weights) at batch 64 on made-up
 windows, by model and preset: windows per second of CPU time, and the step's floating point operations (three times
 those that torch.utils.flop_counter counts in the losses) over those of a large matrix product. Sampling: forecasts by
-100, 10 and 4 steps. Waiting: drawing batches of a simulated dataset, beside the steps that they feed. All take turns, and each figure is the
-least CPU time of its turns: on a shared machine the others measure the neighbours. Compare the shares of the matrix
-product, not the windows, between machines.
+100, 10 and 4 steps. Waiting: drawing batches of a simulated dataset, beside the steps that they feed. All take turns,
+and each figure is the least CPU time of its turns: on a shared machine the others measure the neighbours. Compare the
+shares of the matrix product, not the windows, between machines.
 """
 
 from __future__ import annotations
