@@ -1,8 +1,8 @@
 """The `small` contact model after ten minutes, in closed loop on held-out episodes beside the plain baselines.
 
 Simulates episodes of `xhand_tabletop`, runs `candata train` and `candata evaluate` as a user would, and prints the
-closed-loop ADD-S AUC (mean of 16 samples) of the model, of "the object stays" and of "the object keeps its
-velocity", the share of the time that training waited for data, and its windows a second.
+closed-loop ADD-S AUC (mean of 16 samples) of the model, of the simulator, of "the object stays" and of "the object
+keeps its velocity", the share of the time that training waited for data, and its windows a second.
 """
 
 from __future__ import annotations
@@ -76,9 +76,11 @@ def main() -> None:
         print(
             f"{name}: closed-loop ADD-S AUC {100 * loop['adds_auc']:.1f} %, {near['count']}/{near['total']} within 5 cm"
         )
-    for name, gain in found["gain"].items():
-        points = [100 * gain[key] for key in ("value", "low", "high")]
-        print(f"gain over {name}: {points[0]:+.1f} points (95 % {points[1]:+.1f} to {points[2]:+.1f}), target > 0")
+    for pair in (pair for pair in found["pairs"] if pair["forecaster"] == run.name):
+        ends = [pair[key] for key in ("low", "high")]
+        interval = "no interval" if None in ends else f"95 % {100 * ends[0]:+.1f} to {100 * ends[1]:+.1f}"
+        target = ", target > 0" if pair["reference"] in ("stays", "keeps_velocity") else ""
+        print(f"gain over {pair['reference']}: {100 * pair['value']:+.1f} points ({interval}){target}")
     print(f"{rate:,.0f} windows/s; waiting for data {100 * wait:.2f} % of the time, target <= {100 * WAIT_TARGET:g} %")
 
 

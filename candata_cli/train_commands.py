@@ -1,10 +1,10 @@
-"""The commands of the dynamics model: train, evaluate."""
+"""The command that trains a dynamics model."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,35 +12,37 @@ import typer
 
 from candata_cli import console
 from candata_cli.outputs import check_output
+from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
-    from candata.training import Progress, TrainingJob, TrainingReport, TrainingSettings
+    from candata.training import Progress, TrainingJob, TrainingReport, TrainingSettings, TrainRequest
 
 #: Shortest time between two lines of progress [s].
 _EVERY_S = {True: 0.5, False: 10.0}
 
-Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
 Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
 Scaling = Annotated[
     str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
 ]
 Initial = Annotated[Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")]
-HandScene = Annotated[
-    str | None, typer.Option("--scene", help="Scene that says where the fingertips are; by default the recordings'.")
+ReadScene = Annotated[
+    str | None,
+    typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
+]
+Repair = Annotated[
+    Path | None, typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads.")
 ]
 CommandNoise = Annotated[float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def register(app: typer.Typer) -> None:
-    """Add `train` and `evaluate`."""
+    """Add `train`."""
     app.command(
         epilog="Examples: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first; "
         "candata train --data sim:0.7,real:0.3 --init runs/first --out runs/tuned"
     )(train)
-    app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
 
 
 @console.stoppable()
@@ -68,7 +70,8 @@ def train(
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Rate of the model's steps, default 10.")] = None,
     init: Initial = None,
     normaliser: Scaling = None,
-    scene: HandScene = None,
+    scene: ReadScene = None,
+    effects: Repair = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
     command_noise: CommandNoise = 0,
@@ -80,73 +83,74 @@ def train(
     """Train a dynamics model; the same command goes on after a stop, to the bit on one CPU with --steps.
 
     Joints, actions, contact and object poses of the dataset's `train` episodes become windows at 10 Hz; the model
-    learns to forecast the object's motion. Ctrl-C saves.
+    learns to forecast the object's motion. Ctrl-C saves. `torchrun --nproc-per-node 2 -m candata_cli.main train ...`
+    shares each batch among processes, with the same result.
     """
     from candata.training.runs import refuse_foreign
 
     check_output(out, "folder")
     refuse_foreign(out)
-    _need_torch()
-    from candata.training import TrainRequest, prepare
-    from candata.training import train as run
+    need_torch()
+    from candata.effects import read_effects
+    from candata.training import TrainRequest
 
-    _set_threads(threads)
+    set_threads(threads)
     noise = {"position_m": pose_noise_m, "rotation_rad": pose_noise_rad, "command": command_noise}
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene)
-    with console.stoppable(lambda: _saved_text(out), goes_on=True), console.stages() as stage:
+    repair = None if effects is None else read_effects(effects).effects
+    request = TrainRequest(
+        model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture, scene, repair
+    )
+    _run(request, settings, {name: (path, version) for name, path in paths.items()}, out, device, json)
+
+
+def _simulating(stage: Callable[[str], None]) -> Callable[[int, int], None]:
+    """Return what tells how far the simulator's forecasts are."""
+    return lambda done_count, total: stage(f"simulating windows: {done_count:,} of {total:,}")
+
+
+def _run(
+    request: TrainRequest,
+    settings: TrainingSettings,
+    sources: Mapping[str, tuple[str, str | None]],
+    out: Path,
+    device: str,
+    json: bool,
+) -> None:
+    """Train on the sources, folder or name and version of each, and print what stands; one process speaks."""
+    from candata.training import prepare
+    from candata.training import train as train_job
+    from candata.training.memory import keep_freed_memory
+    from candata.training.processes import joined
+
+    keep_freed_memory()
+    with (
+        console.stoppable(lambda: _saved_text(out), goes_on=True),
+        joined(device) as processes,
+        _stages(processes.is_first) as stage,
+    ):
         stage("reading the dataset")
-        datasets = {name: console.open_named(path, version) for name, path in paths.items()}
-        job = prepare(datasets if mixture else datasets[""], request, settings, device)
-        _tell_notes(job, stage)
-        if init is not None:
-            stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
+        datasets = {name: console.open_named(path, version) for name, (path, version) in sources.items()}
+        sources_read = datasets if request.mixture else datasets[""]
+        job = prepare(sources_read, request, settings, device, processes, _simulating(stage))
+        if processes.is_first:
+            _tell_notes(job, stage)
+        if request.init is not None:
+            stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
-            progress = run(job, out, _teller(stage), should_stop)
+            progress = train_job(job, out, _teller(stage), should_stop)
+    if not processes.is_first:
+        return
     if settings.share(progress.step, progress.elapsed_s) < 1:
         raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
-    _print_trained(job, progress, out, list(paths.values())[-1], json)
+    _print_trained(job, progress, out, list(sources.values())[-1][0], json)
 
 
-@console.stoppable()
-def evaluate(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
-    data: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset to evaluate on: folder or registered name.")],
-    split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
-    samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
-    steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
-    execute: Annotated[
-        int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for the page; RUN/evaluation by default.")] = None,
-    device: Device = "cpu",
-    threads: Threads = None,
-    version: Version = None,
-    json: Json = False,
-) -> None:
-    """Score a model on held-out episodes beside `the object stays` and `keeps its velocity`.
-
-    Forecasts from each window, and closed loops over whole episodes in which the model sees its own poses; joints
-    and actions are replayed. Writes evaluation.json and evaluation.html.
-    """
-    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
-    check_output(folder, "folder")
-    _need_torch()
-    from candata.reports.evaluation import summary, write_evaluation
-    from candata.training import EvaluationSettings
-    from candata.training import evaluate as judge
-
-    _set_threads(threads)
-    with console.stages() as stage:
-        evaluation_settings = EvaluationSettings(split, samples, steps, execute, seed, device)
-        evaluation, tracks = judge(run, console.open_named(data, version), evaluation_settings, stage)
-        stage("writing the page")
-        page = write_evaluation(evaluation, tracks, folder)
-    console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
-    console.note(f"page: {page}")
+def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
+    """Return what tells the stages of the command, or tells nothing: of several processes one speaks."""
+    return console.stages() if speaks else nullcontext(lambda _text: None)
 
 
 def _tell_notes(job: TrainingJob, stage: Callable[[str], None]) -> None:
@@ -165,17 +169,6 @@ def _saved_text(out: Path) -> str:
     return f"the last checkpoint stands in {out}" if (out / LAST_FILE).is_file() else "nothing was trained yet"
 
 
-def _need_torch() -> None:
-    """Refuse to begin without the packages that training needs."""
-    from importlib.util import find_spec
-
-    from candata.errors import MissingExtraError
-
-    for package in ("torch", "safetensors"):
-        if find_spec(package) is None:
-            raise MissingExtraError(package, "train")
-
-
 def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, str]]:
     """Return the mixture that `--data` tells, None for one dataset, and the folder or name of each source."""
     if ":" not in data or Path(data).exists():
@@ -190,14 +183,6 @@ def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, 
     if version is not None:
         raise UsageError("--version is of one dataset", found=data, fix="leave --version out")
     return Mixture(names=tuple(paths), parts=stated_mixture.parts), paths
-
-
-def _set_threads(threads: int | None) -> None:
-    """Tell torch how many threads to use."""
-    import torch
-
-    if threads is not None:
-        torch.set_num_threads(threads)
 
 
 def _settings(

@@ -10,6 +10,7 @@ from candata.loaders.mixing import MixedWindows, common_channels, mix
 from candata.loaders.normaliser import METHODS, Normaliser, Scale, normalise_batch
 from candata.loaders.sampling import Sampler, noise
 from candata.loaders.shares import Effective, Mixture, parse_mixture, share_report
+from candata.loaders.simulated import SimulatedWindows
 from candata.loaders.splits import Split, find_split, load_split, make_split, save_split, split_digest, split_names
 from candata.loaders.tensors import as_tensors
 
@@ -25,6 +26,7 @@ __all__ = [
     "Normaliser",
     "Sampler",
     "Scale",
+    "SimulatedWindows",
     "Split",
     "Windows",
     "as_tensors",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
@@ -10,6 +11,16 @@ from pydantic import Field
 from candata.loaders.gather import Array, Batch
 from candata.rotation import exp
 from candata.schema.record import Record
+
+#: Entries of a batch that move with the object.
+_MOVED = {"history/object_pose", "future/object_pose", "simulated/object_pose"}
+
+
+class Normals(Protocol):
+    """What draws standard normal numbers, as `numpy.random.Generator` does."""
+
+    def standard_normal(self, size: tuple[int, ...], dtype: Any = ...) -> Any:
+        """Return `size` numbers."""
 
 
 class Augmentation(Record):
@@ -39,11 +50,12 @@ class Augmentation(Record):
         return not (self.position_m or self.rotation_rad or self.command)
 
 
-def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.random.Generator) -> Batch:
+def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: Normals) -> Batch:
     """Return the batch with noise; the one given stays as it is.
 
     - The pose of the object: one shift d and one turn delta a window, the same for all rows of past and
-      future: p' = p + d, R' = R exp(delta^). The pose increments, which the models forecast, stay the same.
+      future, and for simulated poses, which move along: p' = p + d, R' = R exp(delta^). The pose increments, which the
+      models forecast, stay the same.
     - Commands: independent noise an element and row; a row that stands both in `history/action` or `future/action` and
       in `planned/action` has the same noise in both.
 
@@ -56,14 +68,14 @@ def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.rand
         As `Windows.batch` or a resident gather gives it.
     augmentation : Augmentation
         Standard deviations of the noise.
-    rng : numpy.random.Generator
+    rng : numpy.random.Generator, or what draws like it
         `noise(seed, step, rank)` makes a step's noise a function of these three.
     """
     out = dict(batch)
     turn, shift = (rng.standard_normal((len(batch["history_pad"]), 3)) for _ in range(2))
     if "history/object_pose" in batch and (augmentation.position_m or augmentation.rotation_rad):
         matrix, offset = _rigid(augmentation.rotation_rad * turn, augmentation.position_m * shift)
-        for name in ("history/object_pose", "future/object_pose"):
+        for name in _MOVED & set(batch):
             out[name] = batch[name] @ _array_like(matrix, batch[name]) + _array_like(offset, batch[name])
     if "history/action" in batch and augmentation.command:
         history_rows = batch["history/action"].shape[1]

@@ -11,12 +11,17 @@ MODELS = Registry("models", "candata.models", "MODEL", Model, "summary")
 #: What a model's file is written with, to its module; most need torch, so they are imported on first use.
 _HOMES = {
     "HistoryConfig": "candata.models._config",
+    "Share": "candata.models._sharing",
     "Reader": "candata.models._inputs",
+    "integers": "candata.models._diffusion",
+    "normal": "candata.models._diffusion",
+    "uniform": "candata.models._diffusion",
     "increments": "candata.models._poses",
     "integrate": "candata.models._poses",
     "known_steps": "candata.models._inputs",
     "masked_mean": "candata.models._inputs",
     "parser": "candata.models._config",
+    "sharing": "candata.models._sharing",
     "with_seed": "candata.models._seed",
     "targets": "candata.models._poses",
 }

@@ -62,7 +62,11 @@ class Module(Protocol):
     """The torch module that `Model.build` returns (beside being a `torch.nn.Module`)."""
 
     def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
-        """Return the terms of the loss; noise is drawn from `generator`."""
+        """Return the terms of the loss, means over the batch; noise is drawn from `generator`.
+
+        With `masked_mean`, and noise from `candata.models.normal`, `uniform` and `integers`, several processes that
+        share a batch train as one.
+        """
 
     def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
         """Return `samples` forecasts; `steps` sampling steps where the model samples."""
@@ -87,6 +91,9 @@ class Model:
         configuration's `seed` alone decides the first weights.
     optional : mapping of str to str
         Field of the configuration that is true or false, to the channel read where it is true.
+    needs_simulator : bool
+        Whether its batches hold what the simulator makes of each window: `simulated/object_pose (B, H, 7)` and
+        `simulated/contact (B, H)`, float32.
     """
 
     summary: str
@@ -95,6 +102,7 @@ class Model:
     parse: Callable[[Mapping[str, Any]], Record]
     build: Callable[[Any, Sizes, Any], Any]
     optional: Mapping[str, str] = field(default_factory=dict)
+    needs_simulator: bool = False
 
     def reads(self, config: Any) -> tuple[str, ...]:
         """Return the channels that windows must hold for this configuration."""

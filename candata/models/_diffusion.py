@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import torch
 from torch import Tensor
 
 from candata.errors import UsageError
+from candata.models._sharing import draw_rows
 
 Target = Literal["x0", "epsilon"]
 Sampler = Literal["ddim", "ddpm"]
@@ -132,9 +134,17 @@ class Process:
 
 def normal(shape: tuple[int, ...], template: Tensor, generator: torch.Generator) -> Tensor:
     """Return standard normal numbers from `generator`, of the kind and on the device of `template`."""
-    return torch.randn(shape, generator=generator, device=generator.device, dtype=template.dtype).to(template.device)
+    draw = partial(torch.randn, generator=generator, device=generator.device, dtype=template.dtype)
+    return draw_rows(draw, shape).to(template.device)
 
 
 def uniform(shape: tuple[int, ...], template: Tensor, generator: torch.Generator) -> Tensor:
     """Return numbers in [0, 1) from `generator`, of the kind and on the device of `template`."""
-    return torch.rand(shape, generator=generator, device=generator.device, dtype=template.dtype).to(template.device)
+    draw = partial(torch.rand, generator=generator, device=generator.device, dtype=template.dtype)
+    return draw_rows(draw, shape).to(template.device)
+
+
+def integers(limit: int, count: int, template: Tensor, generator: torch.Generator) -> Tensor:
+    """Return `(count,) int64` from 0 to `limit - 1` from `generator`, on the device of `template`."""
+    draw = partial(torch.randint, limit, generator=generator, device=generator.device)
+    return draw_rows(draw, (count,)).to(template.device)

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from candata.errors import DataError
+from candata.models._activations import Mish
 from candata.models._config import UnetConfig
 from candata.models._contract import Batch, Sizes
+from candata.models._convolutions import as_image, convolution
 from candata.models._inputs import Inputs, Reader, turn_points
-from candata.models._unet import convolution
 
 #: Divides clouds, so that hand-sized objects are of size one [m]. A round number; the size itself stays visible.
 CLOUD_SCALE_M = 0.1
@@ -24,7 +25,7 @@ def mlp(*sizes: int) -> nn.Sequential:
     """Return linear layers of these sizes with Mish between them."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.Mish()]
+        layers += [nn.Linear(inputs, outputs), Mish()]
     return nn.Sequential(*layers[:-1])
 
 
@@ -42,7 +43,7 @@ class TemporalEncoder(nn.Module):
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return features `(B, outputs)` of `rows (B, T, inputs)`."""
-        features: Tensor = self.layers(rows.transpose(1, 2))
+        features: Tensor = self.layers(as_image(rows.transpose(1, 2)))
         return features
 
 

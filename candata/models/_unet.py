@@ -12,12 +12,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-
-def convolution(inputs: int, outputs: int, kernel: int, groups: int) -> nn.Sequential:
-    """Return convolution over time, group norm, Mish: `(B, inputs, L)` to `(B, outputs, L)`."""
-    return nn.Sequential(
-        nn.Conv1d(inputs, outputs, kernel, padding=kernel // 2), nn.GroupNorm(groups, outputs), nn.Mish()
-    )
+from candata.models._activations import Mish
+from candata.models._convolutions import Convolution, TransposedConvolution, as_image, convolution
 
 
 class ResidualBlock(nn.Module):
@@ -27,11 +23,11 @@ class ResidualBlock(nn.Module):
         super().__init__()
         self.first = convolution(inputs, outputs, kernel, groups)
         self.second = convolution(outputs, outputs, kernel, groups)
-        self.skip = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+        self.skip = Convolution(inputs, outputs, 1) if inputs != outputs else nn.Identity()
 
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
-        """Return `(B, outputs, L)`; `film (B, 2 outputs)` holds scales less one, then shifts."""
-        scale, shift = film[..., None].chunk(2, dim=1)
+        """Return `(B, outputs, 1, L)`; `film (B, 2 outputs)` holds scales less one, then shifts."""
+        scale, shift = film[..., None, None].chunk(2, dim=1)
         outputs: Tensor = self.second(torch.addcmul(shift, self.first(x), 1 + scale)) + self.skip(x)
         return outputs
 
@@ -45,7 +41,7 @@ class Level(nn.Module):
         self.second = ResidualBlock(outputs, outputs, kernel, groups)
 
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
-        """Return `(B, outputs, L)`; `film (B, 4 outputs)` is for the first block, then the second."""
+        """Return `(B, outputs, 1, L)`; `film (B, 4 outputs)` is for the first block, then the second."""
         first_film, second_film = film.chunk(2, dim=1)
         outputs: Tensor = self.second(self.first(x, first_film), second_film)
         return outputs
@@ -62,7 +58,7 @@ class TimeEmbedding(nn.Module):
         powers = torch.arange(half_features) / max(half_features - 1, 1)
         self.register_buffer("frequencies", torch.exp(-math.log(10_000) * powers), persistent=False)
         self.layers = nn.Sequential(
-            nn.Linear(2 * half_features, 4 * features), nn.Mish(), nn.Linear(4 * features, features), nn.Mish()
+            nn.Linear(2 * half_features, 4 * features), Mish(), nn.Linear(4 * features, features), Mish()
         )
 
     def forward(self, time: Tensor) -> Tensor:
@@ -95,11 +91,11 @@ class UNet(nn.Module):
         pairs = list(zip([inputs, *widths[:-1]], widths, strict=True))
         upward_pairs = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
         self.down = nn.ModuleList(Level(a, b, kernel, groups) for a, b in pairs)
-        self.shrink = nn.ModuleList(nn.Conv1d(w, w, 3, stride=2, padding=1) for w in widths[:-1])
+        self.shrink = nn.ModuleList(Convolution(w, w, 3, stride=2) for w in widths[:-1])
         self.middle = Level(widths[-1], widths[-1], kernel, groups)
         self.up = nn.ModuleList(Level(2 * a, b, kernel, groups) for a, b in upward_pairs)
-        self.grow = nn.ModuleList(nn.ConvTranspose1d(b, b, 4, stride=2, padding=1) for _, b in upward_pairs)
-        output_layer = nn.Conv1d(widths[0], outputs, 1)
+        self.grow = nn.ModuleList(TransposedConvolution(b, b) for _, b in upward_pairs)
+        output_layer = Convolution(widths[0], outputs, 1)
         for parameter in output_layer.parameters():
             nn.init.zeros_(parameter)  # the first forecast is the mean of the data
         self.last = nn.Sequential(convolution(widths[0], widths[0], kernel, groups), output_layer)
@@ -108,10 +104,11 @@ class UNet(nn.Module):
         if time_features:
             self.by_time = nn.Linear(time_features, sum(self.film_sizes), bias=False)
             self.embed = TimeEmbedding(time_features)
+        self.activation = Mish()
 
     def window_film(self, condition: Tensor) -> Tensor:
         """Return the part of all scales and shifts `(B, S)` that the condition `(B, C)` gives."""
-        film: Tensor = self.by_window(nn.functional.mish(condition))
+        film: Tensor = self.by_window(self.activation(condition))
         return film
 
     def time_film(self, time: Tensor) -> Tensor:
@@ -122,7 +119,7 @@ class UNet(nn.Module):
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
         """Return the output `(B, outputs, H)` for `x (B, inputs, H)` and `film (B, S)`."""
         films = iter(film.split(self.film_sizes, dim=1))
-        skip_features, lengths = [], []
+        skip_features, lengths, x = [], [], as_image(x)
         for number, level in enumerate(self.down):
             lengths.append(x.shape[-1])
             x = level(x, next(films))
@@ -134,5 +131,5 @@ class UNet(nn.Module):
             x = level(torch.cat([x, skip_features.pop()], dim=1), next(films))
             lengths.pop()
             x = grow(x)[..., : lengths[-1]]
-        output: Tensor = self.last(x)
+        output: Tensor = self.last(x).squeeze(2)
         return output

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from candata.loaders import Normaliser
 from candata.models._config import DIFFUSION_PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
-from candata.models._diffusion import Process, cosine_alpha_bars, normal
+from candata.models._diffusion import Process, cosine_alpha_bars, integers, normal
 from candata.models._encoders import HistoryEncoder
 from candata.models._inputs import Inputs, Reader, masked_mean
 from candata.models._members import with_members
@@ -53,9 +53,7 @@ class DiffusionUNet(nn.Module):
         """Return the mean squared error of the denoiser at one random time a window."""
         value, is_known = self.reader.target(batch)
         value = value / self.unit
-        count = len(value)
-        time = torch.randint(self.config.train_steps, (count,), generator=generator, device=generator.device)
-        time = time.to(value.device)
+        time = integers(self.config.train_steps, len(value), value, generator)
         level = self.alpha_bars[time][:, None, None]
         noise = normal(value.shape, value, generator)
         noisy = level.sqrt() * value + (1 - level).sqrt() * noise

@@ -66,6 +66,8 @@ def made_up_batch(count: int = 5, seed: int = 0, sizes: Sizes = SIZES, clouds: i
         "history/contact": torch.rand(count, rows, generator=g) < 0.5,
         "future/contact": torch.rand(count, horizon, generator=g) < 0.5,
         "history/fingertip_contact": torch.rand(count, rows, sizes.fingertips, generator=g) < 0.5,
+        "simulated/object_pose": integrate(poses[:, rows - 1], 0.01 * torch.randn(count, horizon, 6, generator=g)),
+        "simulated/contact": (torch.rand(count, horizon, generator=g) < 0.5).float(),
         "history_pad": torch.zeros(count, rows, dtype=torch.bool),
         "future_pad": torch.zeros(count, horizon, dtype=torch.bool),
         "cloud": torch.arange(count) % clouds,

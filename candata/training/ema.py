@@ -26,10 +26,9 @@ def start_average(parameters: Mapping[str, torch.Tensor]) -> dict[str, torch.Ten
 @torch.no_grad()
 def update(average: Mapping[str, torch.Tensor], values: Mapping[str, torch.Tensor], step: int, power: float) -> None:
     """Move the average, in place, towards `values`; what is no float (a counter) is copied."""
-    decay_weight = decay(step, power)
+    is_float = {name: mean.is_floating_point() for name, mean in average.items()}
+    means = [mean for name, mean in average.items() if is_float[name]]
+    torch._foreach_lerp_(means, [values[name] for name in average if is_float[name]], 1 - decay(step, power))
     for name, mean in average.items():
-        value = values[name].detach()
-        if mean.is_floating_point():
-            mean.lerp_(value, 1 - decay_weight)
-        else:
-            mean.copy_(value)
+        if not is_float[name]:
+            mean.copy_(values[name])

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from candata.errors import SetupError
-from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
+from candata.loaders import Gather, MixedWindows, SimulatedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
+from candata.training.processes import ALONE, Processes
 from candata.training.settings import TrainingSettings
+
+#: What batches may come from.
+AnyWindows = Windows | MixedWindows | SimulatedWindows
 
 
 def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> dict[str, torch.Tensor]:
@@ -20,35 +25,57 @@ def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> 
     return device_tensors | {"clouds": clouds}
 
 
-def clouds_of(windows: Windows | MixedWindows, device: str) -> torch.Tensor:
+def clouds_of(windows: AnyWindows, device: str) -> torch.Tensor:
     """Return the windows' distinct point clouds `(C, N, 3)` on the device."""
     return torch.from_numpy(windows.clouds).to(device)
 
 
-def drawing(windows: Windows | MixedWindows, settings: TrainingSettings, device: str) -> Callable[[int], Batch]:
+def drawing(
+    windows: AnyWindows, settings: TrainingSettings, device: str, processes: Processes = ALONE
+) -> Callable[[int], Batch]:
     """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
 
-    On a GPU the rows are resident there, where they fit.
+    On a GPU the rows are resident there, where they fit. Of several processes each takes its rows of the batch.
+
+    Raises
+    ------
+    UsageError
+        When the batch does not divide among the processes.
     """
-    sampler, clouds = windows.sampler(settings.batch, settings.seed), clouds_of(windows, device)
+    rows, clouds = processes.rows(settings.batch), clouds_of(windows, device)
+    sampler = windows.sampler(rows, settings.seed, processes.rank, processes.world)
     source = _source(windows, device)
 
     def draw(step: int) -> Batch:
         batch = source.batch(sampler.indices(step))
         if not settings.augment.is_off:
-            batch = augment(batch, settings.augment, noise(settings.seed, step))
+            batch = augment(batch, settings.augment, _Normals(noise(settings.seed, step), processes))
         return batch | {"clouds": clouds} if isinstance(source, Gather) else tensors(batch, clouds, device)
 
     return draw
 
 
-def held_out(windows: Windows | MixedWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
+@dataclass(frozen=True)
+class _Normals:
+    """Draws noise for the rows of all processes, and gives those of this one."""
+
+    rng: np.random.Generator
+    processes: Processes
+
+    def standard_normal(self, size: tuple[int, ...], dtype: type[np.floating] = np.float64) -> NDArray:
+        """Return `size` numbers, the first axis being the rows."""
+        rows, first = size[0], size[0] * self.processes.rank
+        whole = self.rng.standard_normal((rows * self.processes.world, *size[1:]), dtype)  # type: ignore[arg-type]
+        return whole[first : first + rows]
+
+
+def held_out(windows: AnyWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
     """Return up to `batches` batches, spread evenly over the windows, or drawn in a mixture's shares; always the same.
 
     They have no noise.
     """
     count = min(len(windows), batch * batches)
-    if isinstance(windows, MixedWindows):
+    if isinstance(windows.windows if isinstance(windows, SimulatedWindows) else windows, MixedWindows):
         numbers = windows.sampler(count).indices(0)
     else:
         numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
@@ -58,7 +85,7 @@ def held_out(windows: Windows | MixedWindows, batch: int, batches: int, device: 
     )
 
 
-def _source(windows: Windows | MixedWindows, device: str) -> Windows | MixedWindows | Gather:
+def _source(windows: AnyWindows, device: str) -> AnyWindows | Gather:
     """Return where batches are gathered: on the GPU, where the rows fit, else on the host."""
     if device == "cpu":
         return windows

@@ -87,6 +87,13 @@ def _present_contact(batch: Batch) -> NDArray | None:
 BASELINES: dict[str, Forecaster] = {"stays": Stays(), "keeps_velocity": KeepsVelocity()}
 
 
+class WindowSimulator(Protocol):
+    """Makes of windows what a model reads of the simulator."""
+
+    def keys(self, batch: Batch) -> dict[str, NDArray[np.float32]]:
+        """Return `simulated/object_pose (B, H, 7)` and `simulated/contact (B, H)` of a batch of `candata.loaders`."""
+
+
 @dataclass(frozen=True)
 class TrainedModel:
     """A trained model.
@@ -103,6 +110,8 @@ class TrainedModel:
         `cpu` or `cuda`.
     summary : str
         Name for people.
+    simulator : WindowSimulator or None
+        What makes the forecasts that the model reads; None for a model that reads none.
     """
 
     module: torch.nn.Module
@@ -111,9 +120,12 @@ class TrainedModel:
     steps: int
     device: str = "cpu"
     summary: str = "the model"
+    simulator: WindowSimulator | None = None
 
     def forecast(self, batch: Batch, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the model's forecasts, a few hundred windows at a time."""
+        if self.simulator is not None:
+            batch = {**batch, **self.simulator.keys(batch)}
         count = len(batch["history_pad"])
         parts = [self._part(batch, slice(i, i + _AT_ONCE), (*seed, i)) for i in range(0, count, _AT_ONCE)]
         contacts = [part.contact for part in parts if part.contact is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from candata.datasets import Dataset
@@ -36,7 +37,8 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
     catalogs = [dataset.catalog(["scene", "meta"]) for dataset in datasets]
     facts = parse_json(catalogs[0]["meta"][0].as_py())
     if scene is not None:
-        hand = _hand(scene, facts)
+        base, mark, _ = scene.rpartition(OBJECT_MARK)
+        hand = _hand(base if mark and not Path(scene).exists() else scene, facts)
     else:
         named_scenes = [name for table in catalogs for name in table["scene"].to_pylist() if name is not None]
         if not named_scenes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +14,26 @@ from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import SetupError, UnknownNameError, UsageError, Where
 from candata.loaders import Effective, MixedWindows, Mixture, Normaliser, Split, Windows
+from candata.loaders.layout import absent_channels
 from candata.loaders.normaliser import Method
 from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
 from candata.models import model as find_model
 from candata.schema.channels import CHANNELS
+from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
-from candata.training import checkpoint, feed, runs
+from candata.training import checkpoint, feed, run_simulator, runs, simulated
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
 from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
-from candata.training.settings import Run, TrainingSettings
+from candata.training.processes import ALONE, Processes
+from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
 DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
+#: Channels that a model does without where no episode holds them: a toss has neither.
+OF_THE_ROBOT = ("joint_position", "action")
 #: Batches of the validation loss.
 HELD_OUT_BATCHES = 8
 
@@ -57,7 +63,10 @@ class TrainRequest:
     mixture : Mixture or None
         Shares of several datasets.
     scene : str or None
-        Scene of the recordings' hand, for a model that reads where the fingertips are; the one they name when None.
+        Scene of the recordings, for a model that reads where the fingertips are or what the simulator makes of them;
+        that of `init`, else the one that each episode names.
+    effects : tuple of EffectSetting or None
+        Effects of its simulator; those of `init`, else none.
     """
 
     model: str | None = None
@@ -71,10 +80,16 @@ class TrainRequest:
     normaliser: Method | None = None
     mixture: Mixture | None = None
     scene: str | None = None
+    effects: tuple[EffectSetting, ...] | None = None
 
 
 def prepare(
-    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: TrainingSettings, device: str = "cpu"
+    data: Dataset | Mapping[str, Dataset],
+    request: TrainRequest,
+    settings: TrainingSettings,
+    device: str = "cpu",
+    processes: Processes = ALONE,
+    simulating: simulated.Progress = lambda _done, _total: None,
 ) -> TrainingJob:
     """Return the job.
 
@@ -88,12 +103,16 @@ def prepare(
         How.
     device : str
         `cpu` or `cuda`.
+    processes : Processes
+        Those that train together; this one alone by default.
+    simulating : callable
+        Called with (windows done, windows in all) while the simulator forecasts the windows of a model that reads it.
 
     Raises
     ------
     UsageError
-        When a setting means nothing, the mixture does not fit the datasets, or the checkpoint of `init` is of another
-        model, hand or window.
+        When a setting means nothing, the batch does not divide among the processes, the mixture does not fit the
+        datasets, or the checkpoint of `init` is of another model, hand or window.
     DataError
         When a dataset lacks a channel, its split's `train` is empty, no episode is as long as the horizon, or datasets
         to mix differ.
@@ -107,29 +126,38 @@ def prepare(
     notes: tuple[str, ...] = ()
     if initial is None:
         config, notes = with_hand(config, training_data.datasets.values(), request.scene)
-    reads = find_model(name).reads(config)
+    absent = absent_channels(OF_THE_ROBOT, training_data.datasets.values())
+    notes += (f"no {' and no '.join(absent)} in any episode: it is trained without",) if absent else ()
+    reads = tuple(channel for channel in find_model(name).reads(config) if channel not in absent)
     default_shape = DEFAULT_SHAPE if initial is None else initial.run.sizes | {"rate_hz": initial.run.rate_hz}
     requested_shape = {"history": request.history, "horizon": request.horizon, "rate_hz": request.rate_hz}
     window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}
     window_options = window_shape | {"method": request.normaliser or "robust"}
     train = training_data.feed(tuple(training_data.datasets), "train", reads, window_options)
-    run = _run(training_data, request, settings, name, config, train, initial)
+    simulation = run_simulator.stated(name, request.scene, request.effects, initial, train)
+    if simulation is not None:
+        train = simulated.thinned(train)
+    run = _run(training_data, request, settings, name, config, train, initial, simulation)
+    make_simulated = partial(run_simulator.simulated_feed, run=run, processes=processes, simulating=simulating)
     module = build(run, device)
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
     batches: tuple[Batch, ...] = ()
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
-        batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
+        if simulation is not None:
+            held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
+        batches = feed.held_out(make_simulated(held_out), settings.batch, HELD_OUT_BATCHES, device)
     return TrainingJob(
         run,
         module,
-        feed.drawing(train, settings, device),
+        feed.drawing(make_simulated(train), settings, device, processes),
         batches,
         device,
         training_data.split_record(),
         _effective(train, run),
         notes,
+        processes,
     )
 
 
@@ -247,6 +275,7 @@ def _run(
     config: Record,
     train: Windows | MixedWindows,
     initial: Checkpoint | None,
+    simulation: RunSimulator | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
     facts = _facts(train)
@@ -266,6 +295,7 @@ def _run(
         normaliser=initial.run.normaliser if initial else train.normaliser.model_dump(mode="json"),
         settings=settings,
         init=_origin(initial),
+        simulator=simulation,
         revision=__version__,
     )
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from candata.loaders import Effective
 from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
+from candata.training.processes import ALONE, Processes
 from candata.training.settings import Progress, Run, TrainingSettings
 from candata.training.state import TrainingState, generator, initial_state
 from candata.training.steplog import StepLog
@@ -45,6 +48,8 @@ class TrainingJob:
         Steps to what each source of a mixture really gave by then; empty for one dataset.
     notes : tuple of str
         What people should know before it begins.
+    processes : Processes
+        Those that train together; `draw` gives the rows of this one.
     """
 
     run: Run
@@ -55,6 +60,7 @@ class TrainingJob:
     split: Record | None = None
     effective: Callable[[int], tuple[Effective, ...]] = lambda _steps: ()
     notes: tuple[str, ...] = ()
+    processes: Processes = ALONE
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class TrainingReport:
     losses : dict of str to float
         Means since the last report.
     windows_per_s : float
-        Windows trained on each second since then.
+        Windows trained on each second since then, by all processes.
     wait_share : float
         Share of that time spent on getting batches.
     """
@@ -113,6 +119,8 @@ def train(
 ) -> Progress:
     """Train to the end of the run, going on from its last checkpoint, and return how far it has come.
 
+    Several processes train as one would on the same batches, whatever their number; the first one writes.
+
     Parameters
     ----------
     job : Job
@@ -131,9 +139,13 @@ def train(
     DataError
         When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
     SetupError
-        When the folder cannot be written; the last checkpoint stays.
+        When the folder cannot be written, or another process has ended; the last checkpoint stays.
     """
-    with runs.writing(folder):
+    with ExitStack() as written:
+        with job.processes.first_begins():
+            if job.processes.is_first:
+                written.enter_context(runs.writing(folder))
+                runs.begin(folder, job.run, job.split)
         return _train(job, folder, tell, should_stop)
 
 
@@ -141,15 +153,19 @@ def _train(
     job: TrainingJob, folder: Path, tell: Callable[[TrainingReport], None], should_stop: Callable[[], bool]
 ) -> Progress:
     """Train to the end of the run, or until told to stop."""
-    runs.begin(folder, job.run, job.split)
     state = initial_state(job.module, job.run.settings)
     if (folder / checkpoint.LAST_FILE).is_file():
         state.restore(checkpoint.read(folder / checkpoint.LAST_FILE))
-        _keep_best(state, folder)  # a kill may have come between the two
-    settings, saved_step = job.run.settings, state.progress.step
+    settings, tally = job.run.settings, _LogTally()
+    if not job.processes.is_first:
+        while _goes_on(job, state, should_stop):
+            _step(job, state, tally, folder)
+        return state.progress
+    _keep_best(state, folder)  # a kill may have come between the two
+    saved_step = state.progress.step
     with StepLog(folder, saved_step) as log:
-        tally, saved_s = _LogTally(), time.perf_counter()
-        while not should_stop() and settings.share(state.progress.step, state.progress.elapsed_s) < 1:
+        saved_s = time.perf_counter()
+        while _goes_on(job, state, should_stop):
             _step(job, state, tally, folder)
             step = state.progress.step
             if step % settings.log_every == 0:
@@ -167,24 +183,37 @@ def _train(
     return state.progress
 
 
+def _goes_on(job: TrainingJob, state: TrainingState, should_stop: Callable[[], bool]) -> bool:
+    """Return whether a step is left and no process should stop; all count the time of the first."""
+    stops, elapsed_s = job.processes.agree(should_stop(), state.progress.elapsed_s)
+    state.advance(elapsed_s=elapsed_s)
+    return not stops and job.run.settings.share(state.progress.step, elapsed_s) < 1
+
+
 def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path) -> None:
     """Take one step; one without a finite loss and gradient changes nothing but the counts."""
     settings, progress, began = job.run.settings, state.progress, time.perf_counter()
     batch = job.draw(progress.step)
     tally.wait_s += time.perf_counter() - began
     job.module.train()
-    losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, progress.step))
-    state.optimiser.zero_grad(set_to_none=True)
+    with job.processes.sharing():
+        losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, progress.step))
+    for parameter in state.parameters:
+        parameter.grad = None
     losses["loss"].backward()
-    norm = torch.nn.utils.clip_grad_norm_(job.module.parameters(), settings.clip_norm)
-    is_finite = bool(torch.isfinite(losses["loss"]) & torch.isfinite(norm))
+    gradient = [parameter.grad for parameter in state.parameters if parameter.grad is not None]
+    terms = torch.stack([value.detach() for value in losses.values()])
+    job.processes.average([*gradient, terms])
+    norm = _clip(gradient, settings.clip_norm)
+    values = dict(zip(losses, terms.tolist(), strict=True))
+    is_finite = math.isfinite(values["loss"]) and math.isfinite(norm)
     if is_finite:
         for group in state.optimiser.param_groups:
             group["lr"] = settings.rate(progress.step, progress.elapsed_s)
         state.optimiser.step()
         updates = progress.step - progress.skipped
-        ema.update(state.average, job.module.state_dict(), updates, settings.ema_power)
-        tally.add({name: float(value.detach()) for name, value in losses.items()}, float(norm))
+        ema.update(state.average, state.weights, updates, settings.ema_power)
+        tally.add(values, norm)
     tally.steps += 1
     state.advance(
         step=progress.step + 1,
@@ -194,6 +223,14 @@ def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path
     )
     if state.progress.bad_in_row >= settings.bad_limit:
         raise _divergence_error(state.progress, settings, folder)
+
+
+def _clip(gradient: list[torch.Tensor], largest_norm: float) -> float:
+    """Return the norm of the gradient, which is scaled, in place, to at most `largest_norm`."""
+    norm = float(torch.linalg.vector_norm(torch.stack(torch._foreach_norm(gradient))))
+    if norm > largest_norm:
+        torch._foreach_mul_(gradient, largest_norm / norm)
+    return norm
 
 
 def _report(job: TrainingJob, state: TrainingState, tally: _LogTally, log: StepLog) -> TrainingReport:

@@ -117,7 +117,12 @@ def auc(errors: NDArray, limit_m: float = ADDS_LIMIT_M) -> float:
     the mean of max(0, 1 - e / limit). NaN for no errors.
     """
     errors = np.asarray(errors, np.float64)
-    return float(np.maximum(0.0, 1 - errors / limit_m).mean()) if errors.size else math.nan
+    return float(auc_share(errors, limit_m).mean()) if errors.size else math.nan
+
+
+def auc_share(errors: NDArray, limit_m: float = ADDS_LIMIT_M) -> Array:
+    """Return what each error adds to the area of `auc`, 0 to 1: the mean of it is the area."""
+    return np.maximum(0.0, 1 - np.asarray(errors, np.float64) / limit_m)
 
 
 def energy_score(samples: NDArray, truth: NDArray) -> Array:
@@ -146,3 +151,23 @@ def f1(predicted: NDArray, truth: NDArray) -> dict[str, float | None]:
         "recall": hits / true_count if true_count else None,
         "f1": 2 * hits / (predicted_count + true_count) if predicted_count + true_count else None,
     }
+
+
+def auroc(scores: NDArray, truth: NDArray) -> float | None:
+    """Return the area under the ROC curve of scores `(N,)` for flags `(N,)`; None where the flags are all alike.
+
+    It is the probability that a true one has a higher score than a false one, ties counting half: (R - n (n + 1) / 2)
+    / (n m) of n true and m false ones, R the sum of the true ones' ranks, where equal scores share their mean rank.
+
+    Source: J. A. Hanley, B. J. McNeil, "The meaning and use of the area under a ROC curve", Radiology 143 (1982),
+    from the Wilcoxon statistic.
+    """
+    truth = np.asarray(truth, bool)
+    true_count = int(truth.sum())
+    false_count = truth.size - true_count
+    if not true_count or not false_count:
+        return None
+    _, place, counts = np.unique(np.asarray(scores, np.float64), return_inverse=True, return_counts=True)
+    mean_rank = np.cumsum(counts) - (counts - 1) / 2
+    rank_sum = float(mean_rank[place.reshape(-1)][truth.reshape(-1)].sum())
+    return (rank_sum - true_count * (true_count + 1) / 2) / (true_count * false_count)

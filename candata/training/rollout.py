@@ -39,6 +39,8 @@ class Course:
         Which of them count.
     contact : (E, K + 1 + N) bool or None
         Recorded contact, from the first row observed on.
+    joints : (E, N, J) float64 or None
+        What the loops are fed as joints; None replays the recorded ones.
     """
 
     windows: Windows
@@ -48,6 +50,7 @@ class Course:
     truth: NDArray
     valid: NDArray[np.bool_]
     contact: NDArray[np.bool_] | None
+    joints: NDArray | None = None
 
     @property
     def cloud(self) -> NDArray[np.int64]:
@@ -65,10 +68,13 @@ class Loop:
         Its poses, at the steps of `Course.truth`.
     contact : (E, N) float64 or None
         Its probability of contact.
+    joints : (E, N, J) float64 or None
+        Its joints; None where it forecasts none.
     """
 
     poses: NDArray
     contact: NDArray | None
+    joints: NDArray | None = None
 
 
 @runtime_checkable
@@ -79,32 +85,43 @@ class FreeRunner(Protocol):
         """Return the closed loop of a course, without a look at what was recorded after its beginning."""
 
 
-def course(windows: Windows) -> Course:
+def course(windows: Windows, rows_before: int | None = None) -> Course:
     """Return the episodes that the windows are of, each from the first valid row with a whole history.
 
     An episode shorter than that begins at its first valid row, with the history padded; one without a valid row after
     its beginning is left out.
+
+    Parameters
+    ----------
+    windows : Windows
+        What is followed.
+    rows_before : int, optional
+        Rows up to the one at which a loop begins, itself included, where they are more than the history: so that
+        models with different histories begin at the same row.
 
     Raises
     ------
     DataError
         When no episode has such a row.
     """
-    course_all = _course(windows, np.unique(windows.owner))
+    first_step = (rows_before or windows.history) - 1
+    course_all = _course(windows, np.unique(windows.owner), first_step)
     has_valid_rows = course_all.valid.any(axis=1)
     if not has_valid_rows.any():
         raise DataError("no episode can be followed in closed loop: no pose after its first rows is valid")
-    return course_all if has_valid_rows.all() else _course(windows, course_all.episodes[has_valid_rows])
+    if has_valid_rows.all():
+        return course_all
+    return _course(windows, course_all.episodes[has_valid_rows], first_step)
 
 
-def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
-    """Return the course of these episodes."""
+def _course(windows: Windows, episodes: NDArray[np.int64], first_step: int) -> Course:
+    """Return the course of these episodes, which begin at this step or later."""
     last_history_step = windows.history - 1
     stride = windows.stride[episodes]
     rows = np.array(windows.cache.file.rows, np.int64)[episodes]
     total_steps = (rows - 1) // stride
     begin = windows.cache.begin[episodes]
-    start = _starts(windows, begin, stride, total_steps)
+    start = _starts(windows, begin, stride, total_steps, first_step)
     steps = total_steps - start
 
     def rows_at(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -132,18 +149,35 @@ def _unbroken(windows: Windows, present_rows: NDArray[np.int64], rows: NDArray[n
 
 
 def _starts(
-    windows: Windows, begin: NDArray[np.int64], stride: NDArray[np.int64], total_steps: NDArray[np.int64]
+    windows: Windows,
+    begin: NDArray[np.int64],
+    stride: NDArray[np.int64],
+    total_steps: NDArray[np.int64],
+    first_step: int,
 ) -> NDArray[np.int64]:
     """Return the step `(E,)` at which each episode's loop begins.
 
     What stands in for an invalid pose at an episode's beginning is the first valid one, which lies in the future.
     """
-    last_history_step = windows.history - 1
-    start_steps = last_history_step * (total_steps > last_history_step).astype(np.int64)
+    start_steps = first_step * (total_steps > first_step).astype(np.int64)
     for number, start in enumerate(start_steps.tolist()):
         rows = begin[number] + np.arange(start, total_steps[number] + 1) * stride[number]
         start_steps[number] += np.argmax(windows.cache.valid[rows])
     return start_steps
+
+
+def repeated(course: Course, numbers: NDArray[np.int64]) -> Course:
+    """Return the course of some episodes of a course, by their numbers in it; one may be there several times."""
+    return replace(
+        course,
+        episodes=course.episodes[numbers],
+        steps=course.steps[numbers],
+        observed=course.observed[numbers],
+        truth=course.truth[numbers],
+        valid=course.valid[numbers],
+        contact=None if course.contact is None else course.contact[numbers],
+        joints=None if course.joints is None else course.joints[numbers],
+    )
 
 
 def at_rows(windows: Windows, episodes: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:
@@ -156,8 +190,8 @@ def at_rows(windows: Windows, episodes: NDArray[np.int64], step: NDArray[np.int6
 def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:
     """Return the poses of a forecaster that sees its own poses, and contacts where it forecasts them.
 
-    Joints and actions are replayed from the recording, the planned ones too. The mean of the samples is executed. A
-    `FreeRunner` plays the whole course on its own.
+    Actions are replayed from the recording, the planned ones too, and so are joints where the course has none. The mean
+    of the samples is executed. A `FreeRunner` plays the whole course on its own.
 
     Parameters
     ----------
@@ -182,6 +216,10 @@ def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) 
         # What the loop has made is known, whatever the recording has gaps in.
         batch["history_pad"] &= np.arange(1 - history_rows, 1) + step <= 0
         batch["history/object_pose"] = poses[active, step : step + history_rows].astype(np.float32)
+        if course.joints is not None and "history/joint_position" in batch:
+            steps_fed = np.arange(1 - history_rows, 1) + step
+            joints = course.joints[np.ix_(active, steps_fed[steps_fed > 0] - 1)]
+            batch["history/joint_position"][:, steps_fed > 0] = joints
         if contact is not None:
             batch["history/contact"] = contact[active, step : step + history_rows] >= CONTACT_THRESHOLD
         forecast = forecaster.forecast(batch, (seed, step))

@@ -1,44 +1,60 @@
-"""Evaluation: per window and in closed loop, a model beside the baselines through the same code."""
+"""Evaluation: per window and in closed loop, models, simulators and baselines through the same code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from candata.loaders import Windows
-from candata.loaders.increments import integrate
-from candata.statistics import resamples
-from candata.training import metrics
+from candata.loaders.increments import increments, integrate
+from candata.training import metrics, tracks
+from candata.training.breakdown import breakdown
+from candata.training.contact_scores import contact_scores
 from candata.training.forecasters import Forecaster
+from candata.training.loop_errors import LoopErrors, area, closed_loop_scores, final_position_error, loop_errors
+from candata.training.pairs import resampled_areas
 from candata.training.poses import mean_pose, position_error, rotation_error
 from candata.training.results import (
     ClosedLoopScores,
-    Contact,
     EpisodeScores,
-    Gain,
-    Success,
+    Group,
+    Pair,
     Track,
     WindowScores,
 )
-from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop, course, evenly_ranked
+from candata.training.rollout import Course, close_loop, course
 
-#: Resamples of the episodes for the interval of a gain.
-RESAMPLES = 2000
-#: Episodes below which resampling them says nothing of how another draw would come out, as in a diagnosis.
-LEAST_EPISODES = 8
 #: Windows that are forecast at most; of more, as many are taken, evenly spread.
 MOST_WINDOWS = 4096
-#: Episodes whose courses the page draws.
-TRACKS = 4
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """Who is evaluated.
+
+    Attributes
+    ----------
+    forecaster : Forecaster
+    windows : Windows
+        The windows of all entrants, with its own history, horizon and channels.
+    execute : int
+        Steps executed before its next forecast in closed loop.
+    one_sample : Forecaster or None
+        Of a model that draws its samples: the same with one sample a forecast, whose loops are drawn beside the mean's.
+    """
+
+    forecaster: Forecaster
+    windows: Windows
+    execute: int
+    one_sample: Forecaster | None = None
 
 
 @dataclass(frozen=True)
 class EvaluationFindings:
-    """What `score` found, by forecaster; the first one is the model.
+    """What `score` found, by forecaster.
 
     Attributes
     ----------
@@ -46,77 +62,115 @@ class EvaluationFindings:
         Open loop.
     closed_loop : dict of str to ClosedLoopScores
         Closed loop.
-    gain : dict of str to Gain
-        By baseline.
+    pairs : tuple of Pair
+        Each two of them; empty without point clouds.
+    breakdown : dict of str to dict of str to Group
+        By object, task, outcome and contact phase.
     by_episode : tuple of EpisodeScores
         One an episode.
     tracks : tuple of Track
         A few episodes for the figures.
-    rows : int
-        Rows scored in closed loop.
+    rows, gap_rows : int
+        Rows scored in closed loop, and rows within the episodes that are marked as missing.
+    begins_after : int
+        Rows that each loop is shown before it begins.
     """
 
     windows: dict[str, WindowScores]
     closed_loop: dict[str, ClosedLoopScores]
-    gain: dict[str, Gain]
+    pairs: tuple[Pair, ...]
+    breakdown: dict[str, dict[str, Group]]
     by_episode: tuple[EpisodeScores, ...]
     tracks: tuple[Track, ...]
     rows: int
-
-
-@dataclass(frozen=True)
-class _Errors:
-    """Errors of a closed loop, `(E, N)`; ADD-S is None without point clouds."""
-
-    position: NDArray
-    rotation: NDArray
-    adds: NDArray | None
-    loop: Loop = field(repr=False)
+    gap_rows: int
+    begins_after: int
 
 
 def score(
     windows: Windows,
-    forecasters: Mapping[str, Forecaster],
-    execute: int,
+    entrants: Mapping[str, Entrant],
     seed: int,
     stage: Callable[[str], None] = lambda _name: None,
+    joints: Callable[[Course], NDArray] | None = None,
 ) -> EvaluationFindings:
-    """Return the scores of all forecasters on the same windows and the same episodes.
+    """Return the scores of all entrants on the same windows, and on the same episodes at the same instants.
 
     Parameters
     ----------
     windows : Windows
-        Held-out windows.
-    forecasters : mapping of str to Forecaster
-        The model first, then what it is compared with.
-    execute : int
-        Steps executed before the next forecast in closed loop.
+        Held-out windows with every channel that scores or entrants read; a row counts where all of them are valid.
+    entrants : mapping of str to Entrant
+        By name; the first of them decides which episodes are drawn.
     seed : int
         Seed of the noise and of the resampling.
     stage : callable
         Called with what is being done.
+    joints : callable, optional
+        From a course to the joints `(E, N, J)` that the closed loops feed; None replays the recorded ones.
     """
     clouds = _clouds(windows)
-    window_results = {}
-    for name, forecaster in forecasters.items():
-        stage(f"{name}: {len(chosen_windows(windows))} windows")
-        window_results[name] = window_scores(windows, forecaster, clouds, seed)
-    course_all = course(windows)
-    errors = {}
-    for name, forecaster in forecasters.items():
-        stage(f"{name}: {len(course_all.episodes)} episodes in closed loop")
-        errors[name] = _errors(course_all, close_loop(course_all, forecaster, execute, seed), clouds)
-    model, *other_names = forecasters
+    window_results, increment_mse = {}, {}
+    for name, entrant in entrants.items():
+        stage(f"{name}: {len(chosen_windows(entrant.windows))} windows")
+        window_results[name], increment_mse[name] = window_scores(entrant.windows, entrant.forecaster, clouds, seed)
+    rows_before = max(entrant.windows.history for entrant in entrants.values())
+    reference, errors = course(windows, rows_before), {}
+    fed_joints = None if joints is None else joints(reference)
+    for name, entrant in entrants.items():
+        stage(f"{name}: {len(reference.episodes)} episodes in closed loop")
+        loop = close_loop(_course(entrant, rows_before, fed_joints), entrant.forecaster, entrant.execute, seed)
+        errors[name] = loop_errors(reference, loop, clouds)
+    loop_results, pairs = _closed_loops(reference, errors, seed)
+    inside = np.arange(1, reference.valid.shape[1] + 1) <= reference.steps[:, None]
     return EvaluationFindings(
         windows=window_results,
-        closed_loop={name: _closed_loop_scores(course_all, loop_errors) for name, loop_errors in errors.items()},
-        gain={
-            name: _auc_gain(course_all, errors[model], errors[name], seed) for name in other_names if clouds is not None
-        },
-        by_episode=tuple(_by_episode(course_all, errors, e) for e in range(len(course_all.episodes))),
-        tracks=_tracks(course_all, errors, model),
-        rows=int(course_all.valid.sum()),
+        closed_loop=loop_results,
+        pairs=pairs,
+        breakdown=breakdown(windows.dataset, reference, errors),
+        by_episode=_by_episode(reference, errors, increment_mse),
+        tracks=_tracks(reference, errors, entrants, rows_before, fed_joints, seed),
+        rows=int(reference.valid.sum()),
+        gap_rows=int((inside & ~reference.valid).sum()),
+        begins_after=rows_before,
     )
+
+
+def _course(entrant: Entrant, rows_before: int, fed_joints: NDArray | None) -> Course:
+    """Return the course as an entrant sees it."""
+    return replace(course(entrant.windows, rows_before), joints=fed_joints)
+
+
+def _closed_loops(
+    course: Course, errors: Mapping[str, LoopErrors], seed: int
+) -> tuple[dict[str, ClosedLoopScores], tuple[Pair, ...]]:
+    """Return the closed-loop scores by forecaster, and their differences in pairs where there is ADD-S."""
+    scores = {name: closed_loop_scores(course, each) for name, each in errors.items()}
+    if any(each.adds is None for each in errors.values()):
+        return scores, ()
+    areas = resampled_areas({name: area(course, each) for name, each in errors.items()}, course.valid.sum(1), seed)
+    with_interval = {
+        name: each.model_copy(update={"adds_auc_interval": areas.interval(name)}) for name, each in scores.items()
+    }
+    return with_interval, areas.pairs()
+
+
+def _tracks(
+    reference: Course,
+    errors: Mapping[str, LoopErrors],
+    entrants: Mapping[str, Entrant],
+    rows_before: int,
+    fed_joints: NDArray | None,
+    seed: int,
+) -> tuple[Track, ...]:
+    """Return a few episodes; the best model that draws samples has them followed in some of them."""
+    shown = tracks.find_tracks(reference, errors)
+    drawn = {name: entrant.one_sample for name, entrant in entrants.items() if entrant.one_sample is not None}
+    if not drawn:
+        return shown
+    name = min(drawn, key=lambda each: float(errors[each].position[reference.valid].mean()))
+    seen = _course(entrants[name], rows_before, fed_joints)
+    return tracks.with_samples(shown, name, drawn[name], seen, entrants[name].execute, seed)
 
 
 def _clouds(windows: Windows) -> NDArray | None:
@@ -125,26 +179,48 @@ def _clouds(windows: Windows) -> NDArray | None:
     return windows.clouds if all(names[e] for e in np.unique(windows.owner)) else None
 
 
-def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int) -> WindowScores:
-    """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
+def window_scores(
+    windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int
+) -> tuple[WindowScores, dict[int, float]]:
+    """Return the open-loop scores of a forecaster, and the mean squared error of its increments by episode.
+
+    Steps that are not in the recording count in none; an episode without any is left out.
+    """
     batch = windows.batch(chosen_windows(windows))
     truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
     forecast = forecaster.forecast(batch, (seed,))
-    samples = integrate(batch["history/object_pose"][:, -1], forecast.increments)
+    begin = batch["history/object_pose"][:, -1]
+    samples = integrate(begin, forecast.increments)
     mean = mean_pose(samples)
     distance, angle = position_error(mean, truth), rotation_error(mean, truth)
     energy = metrics.energy_score(samples[..., :3], truth[..., :3])
     adds = metrics.adds_of(clouds, batch["cloud"], mean, truth) if clouds is not None else None
-    return WindowScores(
+    squares = _increment_squares(forecast.increments, begin, truth, valid)
+    scores = WindowScores(
         position_error_m=_by_step(distance, valid),
         rotation_error_rad=_by_step(angle, valid),
         position_mse_m2=_by_step(distance**2, valid),
         rotation_mse_rad2=_by_step(angle**2, valid),
+        increment_mse=float(np.nanmean(squares)) if np.isfinite(squares).any() else None,
         position_energy_m=_by_step(energy, valid),
         adds_m=_by_step(adds, valid) if adds is not None else (None,) * valid.shape[1],
         adds_auc=metrics.auc(adds[valid]) if adds is not None else None,
-        contact=_contact(forecast.contact, batch.get("future/contact"), valid),
+        contact=contact_scores(forecast.contact, batch.get("future/contact"), valid),
     )
+    episodes = batch["episode"]
+    parts = {int(episode): squares[episodes == episode] for episode in np.unique(episodes)}
+    return scores, {e: float(np.nanmean(part)) for e, part in parts.items() if np.isfinite(part).any()}
+
+
+def _increment_squares(forecast: NDArray, begin: NDArray, truth: NDArray, valid: NDArray[np.bool_]) -> NDArray:
+    """Return `(B, H)` the mean square of the six errors of the samples' mean increment.
+
+    NaN for a step that is not real on both sides.
+    """
+    recorded = increments(np.concatenate([begin[:, None].astype(np.float64), truth], axis=1))
+    is_real = valid & np.concatenate([np.ones((len(valid), 1), bool), valid[:, :-1]], axis=1)
+    squares = (np.asarray(forecast, np.float64).mean(axis=0) - recorded) ** 2
+    return np.where(is_real, squares.mean(axis=-1), np.nan)
 
 
 def chosen_windows(windows: Windows) -> NDArray[np.int64]:
@@ -159,95 +235,22 @@ def _by_step(values: NDArray, valid: NDArray[np.bool_]) -> tuple[float | None, .
     return tuple(float(value[is_valid].mean()) if is_valid.any() else None for value, is_valid in columns)
 
 
-def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.bool_]) -> Contact | None:
-    """Return how well contact was forecast; None where it was not, or is not recorded."""
-    if forecast is None or truth is None:
-        return None
-    return Contact.model_validate(metrics.f1(forecast[valid] >= CONTACT_THRESHOLD, truth[valid]))
-
-
-def _errors(course: Course, loop: Loop, clouds: NDArray | None) -> _Errors:
-    """Return the errors of a loop at each row."""
-    adds = metrics.adds_of(clouds, course.cloud, loop.poses, course.truth) if clouds is not None else None
-    return _Errors(position_error(loop.poses, course.truth), rotation_error(loop.poses, course.truth), adds, loop)
-
-
-def _closed_loop_scores(course: Course, errors: _Errors) -> ClosedLoopScores:
-    """Return the closed-loop scores of a forecaster."""
-    is_valid, final = course.valid, _final(course, errors.position)
-    truth = None if course.contact is None else course.contact[:, course.observed.shape[1] :]
-    count, total = int((final <= metrics.SUCCESS_M).sum()), len(final)
-    low, high = map(float, binomtest(count, total).proportion_ci(0.95, "wilson"))
-    return ClosedLoopScores(
-        adds_auc=metrics.auc(errors.adds[is_valid]) if errors.adds is not None else None,
-        adds_m=float(errors.adds[is_valid].mean()) if errors.adds is not None else None,
-        position_error_m=float(errors.position[is_valid].mean()),
-        rotation_error_rad=float(errors.rotation[is_valid].mean()),
-        final_position_error_m=float(final.mean()),
-        success=Success(count=count, total=total, share=count / total, low=low, high=high),
-        contact=_contact(errors.loop.contact, truth, is_valid),
-    )
-
-
-def _final(course: Course, position: NDArray) -> NDArray:
-    """Return the error `(E,) [m]` at each episode's last row that counts."""
-    last_rows = course.valid.shape[1] - 1 - np.argmax(course.valid[:, ::-1], axis=1)
-    return position[np.arange(len(last_rows)), last_rows]
-
-
-def _auc_gain(course: Course, model: _Errors, reference: _Errors, seed: int) -> Gain:
-    """Return by how much the model's AUC exceeds another's; the interval resamples whole episodes, in pairs."""
-    sums = np.array([_area(course, errors).sum(1) for errors in (model, reference)])
-    counts = course.valid.sum(1)
-    value = float((sums[0] - sums[1]).sum() / counts.sum())
-    if len(counts) < LEAST_EPISODES:
-        return Gain(value=value, low=None, high=None)
-    picks = resamples(np.random.default_rng([seed, 3]), len(counts), RESAMPLES)
-    gains = (sums[0] - sums[1])[picks].sum(1) / counts[picks].sum(1)
-    low, high = np.quantile(gains, (0.025, 0.975))
-    return Gain(value=value, low=float(low), high=float(high))
-
-
-def _area(course: Course, errors: _Errors) -> NDArray:
-    """Return each row's part `(E, N)` of the area under the curve; 0 for rows that do not count."""
-    adds = np.zeros(course.valid.shape) if errors.adds is None else errors.adds
-    return np.where(course.valid, np.maximum(0.0, 1 - adds / metrics.ADDS_LIMIT_M), 0.0)
-
-
-def _by_episode(course: Course, errors: Mapping[str, _Errors], number: int) -> EpisodeScores:
-    """Return the scores of one episode."""
-    is_valid = course.valid[number]
-    moved_m = position_error(course.truth[number], course.observed[number, -1])
-    return EpisodeScores(
-        id=course.windows.episode_ids[course.episodes[number]],
-        moved_m=float(moved_m[is_valid].max(initial=0.0)),
-        adds_auc={n: metrics.auc(f.adds[number][is_valid]) for n, f in errors.items() if f.adds is not None},
-        final_position_error_m={n: float(_final(course, f.position)[number]) for n, f in errors.items()},
-    )
-
-
-def _tracks(course: Course, errors: Mapping[str, _Errors], model: str) -> tuple[Track, ...]:
-    """Return a few episodes, spread evenly from the model's worst to its best."""
-    mean = np.where(course.valid, errors[model].position, 0).sum(1) / np.maximum(course.valid.sum(1), 1)
-    return tuple(_track(course, errors, model, number) for number in evenly_ranked(-mean, TRACKS))
-
-
-def _track(course: Course, errors: Mapping[str, _Errors], model: str, number: int) -> Track:
-    """Return one episode, the row it begins with first."""
-    count, history_rows = int(course.steps[number]), course.observed.shape[1]
-    rows = slice(0, count)
-    begin = course.observed[number, -1:]
-    forecast = errors[model].loop.contact
-    first_step = (
-        course.windows.present_row[number] - course.windows.cache.begin[course.episodes[number]]
-    ) // course.windows.stride[course.episodes[number]]
-    return Track(
-        id=course.windows.episode_ids[course.episodes[number]],
-        time_s=(first_step + np.arange(count + 1)) / course.windows.rate_hz,
-        truth=np.concatenate([begin, course.truth[number, rows]]),
-        poses={
-            name: np.concatenate([begin, loop_errors.loop.poses[number, rows]]) for name, loop_errors in errors.items()
-        },
-        contact=None if course.contact is None else course.contact[number, history_rows - 1 : history_rows + count],
-        forecast_contact=None if forecast is None else np.concatenate([[np.nan], forecast[number, rows]]),
+def _by_episode(
+    course: Course, errors: Mapping[str, LoopErrors], increment_mse: Mapping[str, Mapping[int, float]]
+) -> tuple[EpisodeScores, ...]:
+    """Return the scores of each episode."""
+    moved_m = position_error(course.truth, course.observed[:, -1:])
+    largest_m = np.where(course.valid, moved_m, 0.0).max(axis=1, initial=0.0)
+    counts = course.valid.sum(axis=1)
+    aucs = {n: area(course, each) / counts for n, each in errors.items() if each.adds is not None}
+    final_m = {n: final_position_error(course, each) for n, each in errors.items()}
+    return tuple(
+        EpisodeScores(
+            id=course.windows.episode_ids[episode],
+            moved_m=float(largest_m[k]),
+            adds_auc={name: float(values[k]) for name, values in aucs.items()},
+            final_position_error_m={name: float(values[k]) for name, values in final_m.items()},
+            increment_mse={name: values[episode] for name, values in increment_mse.items() if episode in values},
+        )
+        for k, episode in enumerate(course.episodes.tolist())
     )

@@ -8,6 +8,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from candata.loaders import Augmentation
+from candata.schema.effect import EffectSetting
 from candata.schema.record import Record, ResultRecord
 
 #: Rate of a fine-tuning run as a share of a fresh one's.
@@ -99,6 +100,24 @@ class TrainingSource(Record):
     split_digest: str
 
 
+class RunSimulator(Record):
+    """The simulator whose forecasts a model reads.
+
+    Attributes
+    ----------
+    scene : str or None
+        What `load_scene` takes; None for the scene that each episode names.
+    effects : tuple of EffectSetting
+        Effects that act in every scene.
+    digests : dict of str to str
+        SHA-256 of each scene trained with, effects included.
+    """
+
+    scene: str | None = None
+    effects: tuple[EffectSetting, ...] = ()
+    digests: dict[str, str] = Field(default_factory=dict)
+
+
 class Run(Record):
     """`run.json`, and the head of every checkpoint: all that decides what the weights mean.
 
@@ -129,6 +148,8 @@ class Run(Record):
     init : dict or None
         For a fine-tuned model: dataset, digest and step of the checkpoint it began with, and all ids it had been
         trained on by then (null where unknown).
+    simulator : RunSimulator or None
+        Whose forecasts the model reads; None for a model that reads none.
     revision : str
         Version of candata.
     """
@@ -153,6 +174,7 @@ class Run(Record):
     normaliser: dict[str, Any]
     settings: TrainingSettings
     init: dict[str, Any] | None = None
+    simulator: RunSimulator | None = None
     revision: str
 
     @property

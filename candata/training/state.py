@@ -19,6 +19,10 @@ class TrainingState:
     ----------
     module : torch.nn.Module
         The model.
+    parameters : list of Parameter
+        What of it is trained.
+    weights : dict of str to Tensor
+        Its weights and buffers, the memory they share with it: they change as it trains.
     average : dict of str to Tensor
         Moving average of its weights, which is what is evaluated.
     optimiser : torch.optim.AdamW
@@ -28,6 +32,8 @@ class TrainingState:
     """
 
     module: torch.nn.Module
+    parameters: list[torch.nn.Parameter]
+    weights: dict[str, torch.Tensor]
     average: dict[str, torch.Tensor]
     optimiser: torch.optim.AdamW
     progress: Progress
@@ -44,7 +50,7 @@ class TrainingState:
             for name, value in entry.items()
         }
         return {
-            checkpoint.WEIGHTS: dict(self.module.state_dict()),
+            checkpoint.WEIGHTS: self.weights,
             checkpoint.AVERAGE: self.average,
             checkpoint.OPTIMISER: moments,
         }
@@ -57,7 +63,10 @@ class TrainingState:
         moments: dict[int, dict[str, torch.Tensor]] = {}
         for name, value in source.tensors(checkpoint.OPTIMISER).items():
             index, key = name.split("/")
-            moments.setdefault(int(index), {})[key] = value
+            parameter = self.parameters[int(index)]
+            # The fused optimiser reads moments in the order in which the weights lie in memory.
+            moment = torch.empty_like(parameter).copy_(value) if value.shape == parameter.shape else value
+            moments.setdefault(int(index), {})[key] = moment
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
         self.progress = source.progress
@@ -65,10 +74,16 @@ class TrainingState:
 
 def initial_state(module: torch.nn.Module, settings: TrainingSettings) -> TrainingState:
     """Return the state at step 0 of a run that begins with the weights of `module`."""
+    parameters = list(module.parameters())
     optimiser = torch.optim.AdamW(
-        module.parameters(), lr=settings.learning_rate, betas=settings.betas, weight_decay=settings.weight_decay
+        parameters,
+        lr=settings.learning_rate,
+        betas=settings.betas,
+        weight_decay=settings.weight_decay,
+        fused=True,
     )
-    return TrainingState(module, ema.start_average(module.state_dict()), optimiser, Progress())
+    weights = {name: value.detach() for name, value in module.state_dict().items()}
+    return TrainingState(module, parameters, weights, ema.start_average(weights), optimiser, Progress())
 
 
 def generator(device: str, *key: int) -> torch.Generator:

@@ -6,92 +6,151 @@ import html
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 from candata.errors import SetupError
 from candata.reports import evaluation as report
-from candata.reports.courses import course
+from candata.reports.courses import COORDINATES, course
+from candata.reports.standing import standing
+from candata.schema.effect import EffectSetting
 from candata.training.results import (
     ClosedLoopScores,
     Contact,
     EpisodeScores,
     Evaluation,
-    Gain,
+    EventTiming,
+    Group,
+    GroupScores,
+    LongLoopScores,
+    ModelFacts,
+    Pair,
     Scores,
+    SimulatorFacts,
     Success,
     Track,
     WindowScores,
 )
 
-NAMES = ("contact_diffusion", "stays", "keeps_velocity")
-#: Many episodes included.
+NAMES = ("first", "second", "simulator", "stays")
+SUMMARIES = (
+    "first (contact_diffusion, mean of 16 samples)",
+    "second (mlp, mean of 16 samples)",
+    "the simulator",
+    "the object stays",
+)
+#: Errors grow in proportion to these.
+SIZES = dict(zip(NAMES, (0.0005, 0.001, 0.0016, 0.005), strict=True))
+#: Pictures left out; many episodes included.
 LARGEST_PAGE = 400_000
 
 
-def scores(summary: str, size: float, adds: bool = True, contact: bool = True) -> Scores:
+def scores(summary: str, size: float, adds: bool = True, contact: bool = True, horizon: int = 16) -> Scores:
     """Errors that grow with the horizon in proportion to `size`."""
-    errors_m = tuple(0.002 + size * k for k in range(1, 17))
-    contact_scores = Contact(precision=0.9, recall=0.8, f1=0.847) if contact else None
+    errors_m = tuple(0.002 + size * k for k in range(1, horizon + 1))
+    contact_scores = Contact(precision=0.9, recall=0.8, f1=0.847, auroc=0.93) if contact else None
+    timing = EventTiming(recorded=9, matched=7, spurious=1, median_s=0.1, q25_s=-0.1, q75_s=0.2) if contact else None
     windows = WindowScores(
         position_error_m=errors_m,
         rotation_error_rad=tuple(5 * v for v in errors_m),
         position_mse_m2=tuple(v**2 for v in errors_m),
         rotation_mse_rad2=tuple(25 * v**2 for v in errors_m),
+        increment_mse=3.21e-4,
         position_energy_m=tuple(0.8 * v for v in errors_m),
         adds_m=tuple(v / 2 if adds else None for v in errors_m),
         adds_auc=1 - 40 * size if adds else None,
         contact=contact_scores,
     )
-    success = Success(count=14, total=19, share=14 / 19, low=0.512, high=0.882)
+    long_loops = [
+        LongLoopScores(
+            time_s=2, episodes=38, position_error_m=size * 14, rotation_error_rad=0.1, adds_m=None, adds_auc=None
+        ),
+        LongLoopScores(
+            time_s=5, episodes=0, position_error_m=None, rotation_error_rad=None, adds_m=None, adds_auc=None
+        ),
+    ]
     closed_loop = ClosedLoopScores(
         adds_auc=1 - 50 * size if adds else None,
+        adds_auc_interval=(0.9 - 50 * size, 0.95 - 50 * size) if adds else None,
         adds_m=size * 8 if adds else None,
         position_error_m=size * 12,
         rotation_error_rad=size * 50,
         final_position_error_m=size * 16,
-        success=success,
+        success=Success(count=28, total=40, share=0.7, low=0.546, high=0.819),
         contact=contact_scores,
+        onset=timing,
+        release=timing,
+        long_loops=tuple(long_loops),
     )
     return Scores(summary=summary, windows=windows, closed_loop=closed_loop)
 
 
-def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) -> Evaluation:
-    summaries = (
-        "the model (contact_diffusion, mean of 16 samples)",
-        "the object stays",
-        "the object keeps its velocity",
-    )
-    forecasters = {
-        name: scores(text, size, adds, contact or number > 0)
-        for number, (name, text, size) in enumerate(zip(NAMES, summaries, (0.0005, 0.0016, 0.005), strict=True))
-    }
-    auc = {"contact_diffusion": 0.94, "stays": 0.88, "keeps_velocity": 0.7} if adds else {}
+def facts(model: str, **changes: object) -> ModelFacts:
     fields = {
-        "run": "first",
+        "run": "run",
         "checkpoint": "best.safetensors",
         "step": 4000,
-        "model": NAMES[0],
+        "model": model,
+        "preset": "paper",
         "trained_on": "sim@0123456789ab",
+        "planned_actions": False,
+        "seen_episodes": 0,
+        "history": 8,
+        "horizon": 16,
+        "execute": 8,
+        "contact_from": "predicted",
+    }
+    return ModelFacts.model_validate(fields | changes)
+
+
+def make_pairs(half_width: float | None = 0.01) -> tuple[Pair, ...]:
+    """The differences of the forecasters' areas, all as sure as each other."""
+    pairs = []
+    for name, reference in combinations(NAMES, 2):
+        value = 50 * (SIZES[reference] - SIZES[name])
+        ends = (None, None) if half_width is None else (value - half_width, value + half_width)
+        pairs.append(Pair(forecaster=name, reference=reference, value=value, low=ends[0], high=ends[1]))
+    return tuple(pairs)
+
+
+READS_SIMULATOR = facts(
+    "sim_residual",
+    horizon=12,
+    planned_actions=True,
+    simulator=SimulatorFacts(scene=None, effects=(EffectSetting(name="object_mass"),)),
+)
+
+
+def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) -> Evaluation:
+    forecasters = {
+        name: scores(text, SIZES[name], adds, contact, 12 if name == "second" else 16)
+        for name, text in zip(NAMES, SUMMARIES, strict=True)
+    }
+    auc = {name: 1 - 50 * size for name, size in SIZES.items()} if adds else {}
+    group = GroupScores(adds_auc=0.9, adds_m=0.005, position_error_m=0.01, rotation_error_rad=0.05)
+    groups = {name: Group(episodes=20, rows=240, scores=dict.fromkeys(NAMES, group)) for name in ("push", "roll")}
+    fields = {
         "dataset": "sim@0123456789ab",
         "split": "default",
         "group": "test",
-        "seen_episodes": 0,
-        "episodes": 2,
+        "episodes": 40,
         "windows": 620,
         "rows": 480,
+        "gap_rows": 24,
         "rate_hz": 10.0,
-        "history": 8,
-        "horizon": 16,
+        "begins_after": 8,
         "samples": 16,
         "sampling_steps": 10,
-        "execute": 8,
         "seed": 0,
-        "contact_from": "predicted",
+        "models": {"first": facts("contact_diffusion"), "second": READS_SIMULATOR},
+        "simulators": {"simulator": SimulatorFacts(scene=None)},
         "forecasters": forecasters,
-        "gain": {name: Gain(value=0.05, low=0.03, high=0.08) for name in NAMES[1:]} if adds else {},
+        "pairs": make_pairs() if adds else (),
+        "breakdown": {"task": groups, "object": {"cup": groups["push"]}},
         "by_episode": [
             EpisodeScores(id=f"ep-{k}", moved_m=0.03 * k, adds_auc=auc, final_position_error_m={NAMES[0]: 0.01})
             for k in range(2)
@@ -110,9 +169,13 @@ def make_track(number: int = 0, contact: bool = True) -> Track:
     half_lift[:, 2] = (truth[:, 2] + 0.06) / 2
     drifting = truth.copy()
     drifting[:, 0] += 0.1 * (time_s - 0.7)
-    poses = {"contact_diffusion": half_lift, "stays": np.tile(truth[0], (26, 1)), "keeps_velocity": drifting}
+    poses = {"first": half_lift, "second": half_lift, "simulator": drifting, "stays": np.tile(truth[0], (26, 1))}
     forecast = np.concatenate([[np.nan], np.linspace(0, 1, 25)])
-    return Track(f"ep-{number}", time_s, truth, poses, time_s > 1 if contact else None, forecast if contact else None)
+    says_contact = {"first": forecast, "simulator": np.round(forecast), "stays": 0 * forecast} if contact else {}
+    sampled = (
+        {} if number else {"first": half_lift + np.linspace(-0.01, 0.01, 5)[:, None, None] * (time_s > 1)[:, None]}
+    )
+    return Track(f"ep-{number}", time_s, truth, poses, time_s > 1 if contact else None, says_contact, sampled)
 
 
 TRACKS = (make_track(0), make_track(1))
@@ -163,6 +226,7 @@ def test_the_page_asks_for_nothing_and_has_every_figure(tmp_path):
         "contact in ep-0",
         "paths of the object in space",
         "contact in ep-1",
+        *(f"{name} of sampled loops in ep-0" for name in COORDINATES),
         "ADD-S AUC of every episode",
     ]
 
@@ -181,90 +245,127 @@ def test_a_page_that_cannot_be_written_says_so(tmp_path, monkeypatch):
 def test_the_page_says_what_it_is():
     text = visible_text(report.page(make_evaluation(), TRACKS))
     for words in (
-        "Better than every baseline",
-        "joints and actions are replayed",
-        "14 of 19",
-        "51 to 88 %",
-        "97.5 %",
-        "92.0 %",
-        "+5.0 (+3.0 to +8.0)",
-        "10 mm",
-        "the model's own forecast",
+        "first is best at 97.5 % ADD-S AUC: 5.5 points above the nominal simulator and 22.5 points above",
+        "first: +5.5 points over the nominal simulator (95 % +4.5 to +6.5)",
+        "joints too",
+        "28 of 40",
+        "54.6 to 81.9 %",
+        "87.5 to 92.5 %",
+        "-2.5 (-3.5 to -1.5)",
+        "2 s (38 episodes)",
+        "90.0 %; 10 mm, 2.86°",
+        "+0.10 s (-0.10 to +0.20)",
+        "2 of 9, 1",
+        "24 rows are marked as missing",
+        "past actions only",
         "no servo is modelled",
+        "run free from the row at which the loop begins, the scene of each episode",
+        "past and planned actions; the simulator: the scene of each episode, effects: object_mass",
     ):
         assert words in text, words
+    assert "By object" not in text  # there is one
+    assert "5 s (" not in text  # no episode is so long
+
+
+def test_a_film_stands_on_the_page():
+    text = report.page(make_evaluation(), TRACKS, {"ep-0": Markup("<b>strip</b>")})
+    assert "<b>strip</b>" in text
+    assert "In pictures" not in report.page(make_evaluation(), TRACKS)
 
 
 def test_paths_tell_whose_they_are_when_and_where():
     tooltips = Page(report.page(make_evaluation(), TRACKS)).tooltips
     assert "recorded, 0.70 s: 10, 5, 6 cm" in tooltips
-    assert "contact_diffusion, 3.20 s: 10, 5, 10 cm" in tooltips
+    assert "first, 3.20 s: 10, 5, 10 cm" in tooltips
     assert "the loop begins here" in tooltips
     assert {name for name in ("recorded", *NAMES) if name in tooltips} == {"recorded", *NAMES}
 
 
-def test_each_step_of_the_horizon_tells_all_forecasters():
+def test_contact_is_drawn_of_those_who_forecast_it_and_not_of_baselines():
+    tooltips = Page(report.page(make_evaluation(), TRACKS)).tooltips
+    assert any(text.endswith("recorded: 1\nfirst: 1.00\nsimulator: 1.00") for text in tooltips)
+
+
+def test_each_step_of_the_horizon_tells_those_who_look_so_far():
     tooltips = Page(report.page(make_evaluation(), TRACKS)).tooltips
     (last_step,) = [text for text in tooltips if text.startswith("1.6 s ahead") and "energy" in text]
     assert last_step.splitlines()[1:] == [
-        "the model (contact_diffusion, mean of 16 samples): 10 mm",
-        "energy score of its samples: 8 mm",
-        "the object stays: 27.6 mm",
-        "the object keeps its velocity: 82 mm",
+        "first (contact_diffusion, mean of 16 samples): 10 mm",
+        "energy score of the samples of first: 8 mm",
+        "the simulator: 27.6 mm",
+        "the object stays: 82 mm",
     ]
 
 
 def test_paths_that_fly_off_stand_or_are_not_finite_are_drawn():
     flying_track, standing_track = make_track(), make_track()
     flying_track.poses["stays"][5:, 0] = 1e6
-    flying_track.poses["contact_diffusion"][9:] = np.nan
+    flying_track.poses["first"][9:] = np.nan
     standing_track.truth[:] = standing_track.truth[0]
-    standing_track.poses["contact_diffusion"][:] = standing_track.truth[0]
+    standing_track.poses["first"][:] = standing_track.truth[0]
     for track in (flying_track, standing_track):
-        markup = course(track)
+        markup = course(track, "first")
         assert "nan" not in markup
         assert max(abs(int(number)) for number in re.findall(r"-?\d+", markup)) < 10_000
 
 
 @pytest.mark.parametrize(
-    ("gains", "headline"),
+    ("changes", "tone"),
     [
-        ({"a": (0.1, 0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Better than every baseline"),
-        ({"a": (0.1, -0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Ahead of every baseline, but not surely"),
-        ({"a": (0.1, None, None), "b": (0.3, None, None)}, "Ahead of every baseline, but not surely"),
-        ({"a": (-0.1, -0.2, 0.1), "b": (0.3, 0.1, 0.4)}, "No better than a baseline"),
+        ({}, "good"),
+        ({"pairs": make_pairs(0.1)}, "part"),
+        ({"pairs": make_pairs(None)}, "part"),
+        ({"episodes": 29}, "part"),
     ],
 )
-def test_the_headline_follows_the_gains(gains, headline):
-    gain = {name: Gain(value=v, low=low, high=high) for name, (v, low, high) in gains.items()}
-    assert report.verdict(make_evaluation(gain=gain))[1] == headline
+def test_the_colour_says_whether_the_lead_over_simulator_and_baselines_is_sure(changes, tone):
+    assert standing(make_evaluation(**changes))[0] == tone
+
+
+def test_a_simulator_that_is_best_is_named_and_the_best_model_beside_it():
+    forecasters = make_evaluation().forecasters
+    swapped = forecasters | {"simulator": forecasters["first"], "first": forecasters["simulator"]}
+    evaluation = make_evaluation(forecasters=swapped)
+    tone, headline = standing(evaluation)
+    assert (tone, headline.split(":")[0]) == ("bad", "The nominal simulator is best at 97.5 % ADD-S AUC")
+    assert "second: " in report.summary(evaluation)
+
+
+def test_fewer_than_30_trajectories_have_a_table_without_intervals_that_says_so():
+    text = visible_text(report.page(make_evaluation(episodes=29), TRACKS))
+    assert "29 test trajectories are fewer than 30: the tables have no intervals" in text
+    assert "28 of 40" in text
+    for interval in ("54.6 to 81.9 %", "(-3.5 to -1.5)", "87.5 to 92.5 %"):
+        assert interval not in text
 
 
 def test_without_clouds_and_contact_their_parts_are_left_out():
     tracks = [make_track(0, contact=False)]
-    text = report.page(make_evaluation(adds=False, contact=False, contact_from="not read"), tracks)
+    tracks[0].sampled.clear()
+    text = report.page(make_evaluation(adds=False, contact=False), tracks)
     assert Page(text).drawings == [
         "position error against the horizon",
         "rotation error against the horizon",
         "paths of the object in space",
     ]
-    assert "No ADD-S: not every object has a point cloud" in text
-    assert "The model does not forecast contact." in text
+    assert "first ends nearest, 8 mm off; no ADD-S: not every object has a point cloud" in text
+    assert "It does not forecast contact." in text
+    assert "Contact in closed loop" not in text
 
 
 def test_episodes_that_were_trained_on_are_said():
-    text = report.page(make_evaluation(seen_episodes=2), TRACKS)
-    assert "2 of them were trained on." in text
-    assert "No verdict: trained on 2 of these 2 episodes" in text
+    seen = {"first": facts("mlp", seen_episodes=2), "second": facts("mlp", seen_episodes=None)}
+    text = visible_text(report.page(make_evaluation(models=seen), TRACKS))
+    assert "No verdict: first was trained on 2 of these 40 episodes" in text
+    assert "not known" in text
     assert "on all episodes of" in report.page(make_evaluation(group="all"), TRACKS)
-    assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
+    assert "first was trained on 2" in report.summary(make_evaluation(models=seen))
 
 
-def test_what_is_not_known_or_replayed_is_said():
-    evaluation = make_evaluation(seen_episodes=None, contact_from="predicted, fingertips recorded")
-    text = visible_text(report.page(evaluation, TRACKS))
-    assert "not known: the run's split is not beside the checkpoint" in text
-    assert "each fingertip's replayed from the recording" in text
+def test_joints_that_follow_a_servo_are_said():
+    text = visible_text(report.page(make_evaluation(joints_from="servo"), TRACKS))
+    assert "joints follow a servo lag fitted on training episodes (servo)" in text
+    assert "each joint a first-order lag" in text
 
 
 def test_hostile_names_stay_text():
@@ -275,10 +376,12 @@ def test_hostile_names_stay_text():
 
 
 def test_the_summary_is_a_row_each():
-    lines = report.summary(make_evaluation()).splitlines()
-    assert lines[0] == "Better than every baseline: contact_diffusion, step 4,000"
-    assert [line.split()[0] for line in lines[3:6]] == list(NAMES)
-    assert lines[3].split()[1:4] == ["97.5", "%", "14/19"]
+    lines = report.summary(make_evaluation(notes=("no simulator",))).splitlines()
+    assert lines[0].startswith("first is best at 97.5 % ADD-S AUC")
+    assert [line.split()[0] for line in lines[3:7]] == list(NAMES)
+    assert lines[3].split()[1:4] == ["97.5", "%", "28/40"]
+    assert "at 1.2 s" in lines[4]
+    assert lines[-1] == "no simulator"
 
 
 #: Turns the first path by a drag, and tells what is drawn.
@@ -296,4 +399,4 @@ DRAG = """() => {
 
 @pytest.mark.parametrize("width", [1280, 380])
 def test_every_figure_is_drawn_and_a_path_turns(browse, width):
-    assert browse(report.page(make_evaluation(), TRACKS), DRAG, width) == {"turned": True, "drawn": 8}
+    assert browse(report.page(make_evaluation(), TRACKS), DRAG, width) == {"turned": True, "drawn": 12}

@@ -13,6 +13,7 @@ from candata.datasets import Dataset, append, create_dataset, open_dataset, put_
 from candata.rotation import exp
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
+from candata.simulate.generate import generate
 from candata.training.loop import TrainingJob
 from candata.training.settings import Run, TrainingSettings
 
@@ -114,5 +115,29 @@ def dataset(tmp_path) -> Callable[..., Dataset]:
         made = (gliding(f"{name}-{k:02d}", k, rows=rows + 2 * k, **more) for k in range(episodes))
         append(folder, made, Lineage(operation="test"))
         return open_dataset(folder)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def nominal(tmp_path_factory) -> Path:
+    """Episodes of a gripper in its own scene, without sensor noise."""
+    folder = tmp_path_factory.mktemp("nominal") / "data"
+    generate(folder, "gripper_tabletop", 3, 1, workers=1, noise=False, duration_s=1.6)
+    return folder
+
+
+@pytest.fixture
+def rewritten() -> Callable[..., Dataset]:
+    """Makes a dataset of the same episodes with some arrays or facts changed: `rewritten(folder, source, change)`."""
+
+    def make(folder: Path, source: Path, change: Callable[[Episode], dict], **meta: object) -> Dataset:
+        root, changed = create_dataset(folder), {"point_cloud": None, **meta}
+        episodes = [
+            Episode(episode.meta.model_copy(update=changed), dict(episode.arrays) | change(episode))
+            for episode in open_dataset(source).episodes()
+        ]
+        append(root, episodes, Lineage(operation="test"))
+        return open_dataset(root)
 
     return make

@@ -13,6 +13,7 @@ import torch
 from candata.errors import DataError, SetupError, UnknownNameError, UsageError
 from candata.loaders import Augmentation, make_split, parse_mixture, save_split
 from candata.training import checkpoint, evaluation, jobs
+from candata.training.evaluated_runs import EvaluatedRun
 from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.jobs import TrainRequest, prepare
 from candata.training.loop import train
@@ -22,6 +23,12 @@ SETTINGS = TrainingSettings(steps=6, batch=8, validate_every=3, log_every=2)
 SMALL = {"latent": 16, "temporal_width": 16, "widths": (16, 16), "time_features": 8, "point_widths": (8, 16)}
 MLP = TrainRequest("mlp", config={"width": 16, "layers": 1}, history=4, horizon=6)
 DIFFUSION = TrainRequest("contact_diffusion", config=SMALL, history=4, horizon=6)
+
+
+def seen_count(run, data, group):
+    """How many of the episodes evaluated on the run was trained on."""
+    (facts,) = evaluate([run], data, EvaluationSettings(group, 1, 1, 6))[0].models.values()
+    return facts.seen_episodes
 
 
 @pytest.fixture
@@ -64,20 +71,22 @@ def test_diffusion_goes_on_bit_for_bit(tmp_path, trained):
 
 def test_evaluation_is_complete_and_repeatable(trained):
     folder, data = trained
-    found, tracks = evaluate(folder, data, EvaluationSettings(samples=3, steps=2, execute=4))
-    assert list(found.forecasters) == ["contact_diffusion", "stays", "keeps_velocity"]
-    assert (found.seen_episodes, found.episodes, found.contact_from) == (0, 1, "predicted")
-    assert len(found.forecasters["contact_diffusion"].windows.position_error_m) == 6
+    found, tracks = evaluate([folder], data, EvaluationSettings(samples=3, steps=2, execute=4))
+    assert list(found.forecasters) == ["run", "stays", "keeps_velocity"]
+    facts = found.models["run"]
+    assert (facts.model, facts.seen_episodes, facts.contact_from) == ("contact_diffusion", 0, "predicted")
+    assert (facts.preset, facts.planned_actions, found.episodes) == ("small", True, 1)
+    assert len(found.forecasters["run"].windows.position_error_m) == 6
     assert found.forecasters["keeps_velocity"].closed_loop.adds_auc > 0.99
     assert tracks[0].poses.keys() == found.forecasters.keys()
-    assert evaluate(folder, data, EvaluationSettings(samples=3, steps=2, execute=4))[0] == found
+    assert evaluate([folder], data, EvaluationSettings(samples=3, steps=2, execute=4))[0] == found
     assert type(found).model_validate_json(found.model_dump_json()) == found
 
 
 def test_episodes_that_were_trained_on_are_counted(trained):
     folder, data = trained
-    assert evaluate(folder, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(folder, data, EvaluationSettings("all", 1, 1, 6))[0].seen_episodes == 8
+    assert seen_count(folder, data, "train") == 8
+    assert seen_count(folder, data, "all") == 8
 
 
 def test_a_checkpoint_alone_does_not_forget_what_it_was_trained_on(tmp_path, trained, dataset):
@@ -85,16 +94,16 @@ def test_a_checkpoint_alone_does_not_forget_what_it_was_trained_on(tmp_path, tra
     alone = tmp_path / "alone" / "model.safetensors"
     alone.parent.mkdir()
     alone.write_bytes((folder / "best.safetensors").read_bytes())
-    assert evaluate(alone, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(alone, dataset("other"), EvaluationSettings("all", 1, 1, 6))[0].seen_episodes is None
+    assert seen_count(alone, data, "train") == 8
+    assert seen_count(alone, dataset("other"), "all") is None
 
 
 def test_episodes_of_the_first_run_are_not_forgotten_by_fine_tuning(tmp_path, trained, dataset):
     folder, data = trained
     tuned = tmp_path / "tuned"
     train(prepare(dataset("other", episodes=3), TrainRequest(init=folder), SETTINGS), tuned)
-    assert evaluate(tuned, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(tuned, data, EvaluationSettings("test", 1, 1, 6))[0].seen_episodes == 0
+    assert seen_count(tuned, data, "train") == 8
+    assert seen_count(tuned, data, "test") == 0
 
 
 def test_a_split_that_is_damaged_or_anothers_is_refused(trained):
@@ -109,25 +118,26 @@ def test_a_split_that_is_damaged_or_anothers_is_refused(trained):
     ):
         path.write_bytes(text)
         with pytest.raises(UsageError, match=said):
-            evaluate(folder, data, EvaluationSettings("test", 1, 1, 6))
+            evaluate([folder], data, EvaluationSettings("test", 1, 1, 6))
 
 
 def test_fingertips_that_are_replayed_are_said_to_be(trained):
     folder, _ = trained
     run = checkpoint.read(folder).run
     more = run.model_copy(update={"config": run.config | {"fingertip_contact": True}})
-    scores = SimpleNamespace(closed_loop={"contact_diffusion": SimpleNamespace(contact=object())})
-    assert evaluation._contact_from(run, scores) == "predicted"
-    assert evaluation._contact_from(more, scores) == "predicted, fingertips recorded"
+    one, other = (EvaluatedRun("run", SimpleNamespace(run=each), 6) for each in (run, more))
+    assert evaluation.contact_from(one, True) == "predicted"
+    assert evaluation.contact_from(one, False) == "recorded"
+    assert evaluation.contact_from(other, True) == "predicted, fingertips recorded"
 
 
 def test_a_model_without_contact(tmp_path, dataset):
     data = dataset(contact=False, cloud=False)
     train(prepare(data, MLP, SETTINGS), tmp_path / "run")
-    found, tracks = evaluate(tmp_path / "run", data, EvaluationSettings(samples=2, execute=4))
-    assert found.contact_from == "not read"
-    assert found.gain == {}
-    assert found.forecasters["mlp"].windows.contact is None
+    found, tracks = evaluate([tmp_path / "run"], data, EvaluationSettings(samples=2, execute=4))
+    assert found.models["run"].contact_from == "not read"
+    assert found.pairs == ()
+    assert found.forecasters["run"].windows.contact is None
     assert tracks[0].contact is None
 
 
@@ -155,7 +165,7 @@ def test_other_joints_are_refused_and_both_named(trained, dataset):
     with pytest.raises(UsageError, match=r"other joint names\n\s+expected: 2: a, b\n\s+found: 2: a, c"):
         prepare(other, TrainRequest(init=folder), SETTINGS)
     with pytest.raises(UsageError, match=r"expected: 2: a, b\n\s+found: 2: a, c"):
-        evaluate(folder, other, EvaluationSettings())
+        evaluate([folder], other, EvaluationSettings())
 
 
 def test_another_horizon_is_refused(trained):
@@ -174,7 +184,7 @@ def test_a_horizon_longer_than_the_episodes(trained, dataset):
     with pytest.raises(DataError, match="no episode is long enough for a window"):
         prepare(dataset("short", rows=9, episodes=3), MLP, SETTINGS)
     with pytest.raises(DataError, match="no episode is long enough for a window"):
-        evaluate(folder, dataset("shorter", rows=7, episodes=3), EvaluationSettings("all"))
+        evaluate([folder], dataset("shorter", rows=7, episodes=3), EvaluationSettings("all"))
 
 
 def test_an_empty_group_is_named(tmp_path, dataset):
@@ -189,7 +199,7 @@ def test_an_empty_group_is_named(tmp_path, dataset):
     )
     assert not (tmp_path / "run" / "best.safetensors").exists()
     with pytest.raises(DataError, match="the group test of the split is empty"):
-        evaluate(tmp_path / "run", data, EvaluationSettings())
+        evaluate([tmp_path / "run"], data, EvaluationSettings())
 
 
 def test_unknown_names_list_the_known(dataset):
@@ -214,12 +224,12 @@ def test_unknown_names_list_the_known(dataset):
 )
 def test_numbers_out_of_range(trained, manner, name):
     with pytest.raises(UsageError, match=f"--{name} is out of range"):
-        evaluate(*trained, manner)
+        evaluate([trained[0]], trained[1], manner)
 
 
 def test_an_unknown_group(trained):
     with pytest.raises(UnknownNameError, match="all, test, train, val"):
-        evaluate(*trained, EvaluationSettings("tset"))
+        evaluate([trained[0]], trained[1], EvaluationSettings("tset"))
 
 
 def test_no_such_device(monkeypatch):
@@ -269,13 +279,13 @@ def test_a_run_on_a_mixture_names_its_sources(mixture):
 def test_a_run_on_a_mixture_is_evaluated_by_the_split_of_each_source(mixture):
     folder, sources, _ = mixture
     for name, train_episodes in (("glide", 8), ("real", 10)):
-        assert evaluate(folder, sources[name], EvaluationSettings("test", 1, 1, 6))[0].seen_episodes == 0
-        assert evaluate(folder, sources[name], EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == train_episodes
+        assert seen_count(folder, sources[name], "test") == 0
+        assert seen_count(folder, sources[name], "train") == train_episodes
     split = json.loads((folder / "split.json").read_text())
     split["splits"]["real"] = split["splits"]["glide"]
     (folder / "split.json").write_text(json.dumps(split))
     with pytest.raises(UsageError, match="of another run"):
-        evaluate(folder, sources["real"], EvaluationSettings("test", 1, 1, 6))
+        evaluate([folder], sources["real"], EvaluationSettings("test", 1, 1, 6))
 
 
 def test_a_run_on_a_mixture_goes_on_and_refuses_other_shares(tmp_path, mixture):
@@ -341,7 +351,7 @@ def test_data_without_clouds_are_evaluated_by_a_model_that_reads_none(tmp_path, 
     folder, data = trained
     bare = dataset("bare", cloud=False)
     train(prepare(data, MLP, SETTINGS), tmp_path / "mlp")
-    found, _ = evaluate(tmp_path / "mlp", bare, EvaluationSettings("all", 1, 1, 6))
+    found, _ = evaluate([tmp_path / "mlp"], bare, EvaluationSettings("all", 1, 1, 6))
     assert found.episodes == 10
     with pytest.raises(UsageError, match="made for other sizes"):
-        evaluate(folder, bare, EvaluationSettings("all", 1, 1, 6))
+        evaluate([folder], bare, EvaluationSettings("all", 1, 1, 6))

@@ -17,6 +17,7 @@ from candata.training import metrics, scoring
 from candata.training.forecasters import BASELINES, ForecastArrays, KeepsVelocity, Stays
 from candata.training.poses import position_error
 from candata.training.rollout import close_loop, course, evenly_ranked
+from tests.training.conftest import gliding
 
 SPEED_M_S = float(np.linalg.norm([0.05, -0.02, 0.01]))
 
@@ -48,13 +49,18 @@ class Drifts:
         return ForecastArrays(steps, np.full(batch["future_pad"].shape, 0.9))
 
 
+def score(windows, forecasters, execute, seed):
+    """The scores of forecasters that all see the same windows."""
+    return scoring.score(windows, {n: scoring.Entrant(f, windows, execute) for n, f in forecasters.items()}, seed)
+
+
 @pytest.fixture
 def glide(dataset):
     return windows(dataset(episodes=4), history=4, horizon=6, pad="both", step=2)
 
 
 def test_the_oracle_is_perfect_open_and_closed(glide):
-    found = scoring.score(glide, {"oracle": Oracle(), **BASELINES}, 3, 0)
+    found = score(glide, {"oracle": Oracle(), **BASELINES}, 3, 0)
     opened, closed = found.windows["oracle"], found.closed_loop["oracle"]
     # Poses are kept in float32: 1e-7 of a metre or so each, added up over a horizon.
     assert max(opened.position_error_m) < 1e-6
@@ -65,7 +71,7 @@ def test_the_oracle_is_perfect_open_and_closed(glide):
 
 
 def test_the_baselines_have_the_errors_of_a_gliding_object(glide):
-    found = scoring.score(glide, BASELINES, 3, 0)
+    found = score(glide, BASELINES, 3, 0)
     ahead_s = np.arange(1, 7) / 10
     np.testing.assert_allclose(found.windows["stays"].position_error_m, SPEED_M_S * ahead_s, rtol=1e-4)
     np.testing.assert_allclose(found.windows["stays"].rotation_error_rad, 0.4 * ahead_s, rtol=1e-3)
@@ -146,10 +152,12 @@ def test_rows_that_are_not_valid_count_in_nothing(tmp_path, dataset):
     road = course(found)
     assert road.valid.sum() == 27 - 10
     assert not road.valid[0, 20 // 2 - 4 : 40 // 2 - 4].any()
-    scores = scoring.score(found, BASELINES, 3, 0)
+    scores = score(found, BASELINES, 3, 0)
     assert scores.closed_loop["keeps_velocity"].final_position_error_m < 1e-4
     assert scores.closed_loop["stays"].adds_auc is None
-    assert scores.gain == {}
+    assert scores.pairs == ()
+    assert found.cache.valid.sum() < len(episode)
+    assert scores.gap_rows == 10
 
 
 def test_a_loop_begins_at_a_valid_row(glide):
@@ -181,19 +189,24 @@ def test_nothing_to_follow_is_an_error(glide):
         course(replace(glide, cache=cache))
 
 
-def test_the_gain_is_the_difference_of_the_areas(glide):
-    found = scoring.score(glide, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
+def test_a_pair_is_the_difference_of_the_areas(glide):
+    found = score(glide, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
     areas = [found.closed_loop[name].adds_auc for name in ("oracle", "stays")]
-    gain = found.gain["stays"]
-    assert gain.value == pytest.approx(areas[0] - areas[1], abs=1e-12)
-    assert gain.low is gain.high is None
+    (pair,) = found.pairs
+    assert (pair.forecaster, pair.reference) == ("oracle", "stays")
+    assert pair.value == pytest.approx(areas[0] - areas[1], abs=1e-12)
+    assert pair.low is pair.high is None
+    assert found.closed_loop["oracle"].adds_auc_interval is None
     assert found.by_episode[0].adds_auc.keys() == {"oracle", "stays"}
 
 
-def test_a_gain_has_an_interval_from_8_episodes_on(dataset):
+def test_a_pair_has_an_interval_from_8_episodes_on(dataset):
     many = windows(dataset("many", episodes=8), history=4, horizon=6, pad="both", step=2)
-    gain = scoring.score(many, {"oracle": Oracle(), "stays": Stays()}, 3, 0).gain["stays"]
-    assert gain.low <= gain.value <= gain.high
+    found = score(many, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
+    (pair,) = found.pairs
+    assert 0 < pair.low <= pair.value <= pair.high
+    low, high = found.closed_loop["stays"].adds_auc_interval
+    assert low < found.closed_loop["stays"].adds_auc < high
 
 
 def test_adds_in_the_loop_is_that_of_each_row(glide):
@@ -203,7 +216,7 @@ def test_adds_in_the_loop_is_that_of_each_row(glide):
     rows = [
         metrics.adds(cloud, loop.poses[e, k], road.truth[e, k]) for e, k in zip(*np.nonzero(road.valid), strict=True)
     ]
-    found = scoring.score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
+    found = score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
     assert found.adds_m == pytest.approx(np.mean(rows), rel=1e-12)
     assert found.adds_auc == pytest.approx(metrics.auc(np.array(rows)), rel=1e-12)
 
@@ -211,11 +224,11 @@ def test_adds_in_the_loop_is_that_of_each_row(glide):
 def test_no_object_is_scored_with_the_cloud_of_another(glide):
     clouds = (None, *glide.cache.file.clouds[1:])
     part = replace(glide, cache=replace(glide.cache, file=glide.cache.file.model_copy(update={"clouds": clouds})))
-    found = scoring.score(part, BASELINES, 3, 0)
+    found = score(part, BASELINES, 3, 0)
     assert found.windows["stays"].adds_auc is found.closed_loop["stays"].adds_auc is None
     others = part.owner > 0
     rest = replace(part, owner=part.owner[others], present_row=part.present_row[others])
-    assert scoring.score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
+    assert score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
 
 
 def test_many_windows_are_thinned_evenly(glide, monkeypatch):
@@ -224,14 +237,73 @@ def test_many_windows_are_thinned_evenly(glide, monkeypatch):
 
 
 def test_tracks_begin_with_the_row_last_observed(glide):
-    found = scoring.score(glide, BASELINES, 3, 0)
+    found = score(glide, BASELINES, 3, 0)
     track = next(one for one in found.tracks if one.id == "glide-00")
     assert track.time_s[0] == pytest.approx(0.3)
     assert len(track.time_s) == len(track.truth) == len(track.contact) == len(track.poses["stays"]) == 28
     assert position_error(track.poses["stays"], track.truth)[0] == 0
-    assert np.isnan(track.forecast_contact[0])
+    assert np.isnan(track.forecast_contact["stays"][0])
 
 
 def test_the_episodes_shown_are_spread_from_worst_to_best():
     assert evenly_ranked([5.0, 1.0, 3.0, 2.0, 4.0], 3) == [1, 2, 0]
     assert evenly_ranked([1.0], 4) == [0]
+
+
+def test_entrants_of_other_histories_follow_the_same_episodes_from_the_same_row(glide):
+    """A loop begins where the longest history is whole, whoever follows it."""
+    drifts = Drifts()
+    entrants = {
+        "short": scoring.Entrant(drifts, replace(glide, history=2, horizon=3), 3),
+        "long": scoring.Entrant(Oracle(), glide, 6),
+        "stays": scoring.Entrant(Stays(), glide, 6),
+    }
+    found = scoring.score(glide, entrants, 0)
+    assert found.begins_after == 4
+    assert found.rows == score(glide, BASELINES, 3, 0).rows
+    assert {len(found.windows[name].position_error_m) for name in ("short", "long")} == {3, 6}
+    first_chunk = drifts.seen[1]
+    assert first_chunk["history/object_pose"].shape[1] == 2
+    assert first_chunk["row"].tolist() == [6] * 4
+    assert found.closed_loop["long"].final_position_error_m < 1e-5
+    # A millimetre a step along x, from the same begin to the same end as all others.
+    steps = np.array([30, 31, 32, 33]) - 3
+    expected = [np.linalg.norm(k / 10 * np.array([0.05, -0.02, 0.01]) - [0.001 * k, 0, 0]) for k in steps]
+    assert found.closed_loop["short"].final_position_error_m == pytest.approx(np.mean(expected), rel=1e-4)
+
+
+def test_long_loops_are_scored_at_their_time_over_the_episodes_that_are_so_long(glide):
+    found = score(glide, {"stays": Stays()}, 3, 0).closed_loop["stays"].long_loops
+    assert [(loop.time_s, loop.episodes) for loop in found] == [(2.0, 4), (5.0, 0), (10.0, 0)]
+    assert found[0].position_error_m == pytest.approx(2 * SPEED_M_S, rel=1e-4)
+    assert found[0].rotation_error_rad == pytest.approx(2 * 0.4, rel=1e-3)
+    assert found[1].position_error_m is found[1].adds_auc is None
+
+
+def test_groups_are_scored_apart_and_their_rows_counted(tmp_path):
+    folder = create_dataset(tmp_path / "two", name="two")
+    tasks = ("push", "push", None)
+    episodes = [gliding(f"e{k}", k, rows=61, task=task) for k, task in enumerate(tasks)]
+    still = dict(episodes[2].arrays) | {"object_pose": np.tile(episodes[2].arrays["object_pose"][:1], (61, 1))}
+    append(folder, [*episodes[:2], replace(episodes[2], arrays=still)], Lineage(operation="t"))
+    found = score(windows(open_dataset(folder), history=4, horizon=6, pad="both", step=2), {"stays": Stays()}, 3, 0)
+    tasks_found = found.breakdown["task"]
+    assert {name: (group.episodes, group.rows) for name, group in tasks_found.items()} == {
+        "not stated": (1, 27),
+        "push": (2, 54),
+    }
+    assert tasks_found["not stated"].scores["stays"].position_error_m == 0
+    mean_s = np.arange(1, 28).mean() / 10
+    assert tasks_found["push"].scores["stays"].position_error_m == pytest.approx(SPEED_M_S * mean_s, rel=1e-4)
+    assert "object" not in found.breakdown
+    phases = found.breakdown["phase"]
+    # Touched from row 30 of 61 at 20 Hz, never let go; loops have every second row from row 8 on.
+    assert {name: group.rows for name, group in phases.items()} == {"free": 33, "onset": 3, "sustained": 45}
+    assert phases["sustained"].scores["stays"].position_error_m > phases["free"].scores["stays"].position_error_m
+
+
+def test_the_mixed_mse_is_that_of_the_six_numbers_of_an_increment(glide):
+    stays = score(glide, {"stays": Stays()}, 3, 0).windows["stays"]
+    step = np.array([0.005, -0.002, 0.001, 0, 0, 0.04])
+    assert stays.increment_mse == pytest.approx((step**2).mean(), rel=1e-3)
+    assert score(glide, {"oracle": Oracle()}, 3, 0).windows["oracle"].increment_mse < 1e-12

@@ -1,0 +1,115 @@
+"""The simulator that a run's model reads: stated when it trains, made again when it forecasts."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from candata.errors import UsageError, Where
+from candata.loaders import MixedWindows, Windows
+from candata.models import model as find_model
+from candata.schema.effect import EffectSetting
+from candata.training.checkpoint import Checkpoint
+from candata.training.episode_scenes import episode_scenes
+from candata.training.processes import Processes
+from candata.training.settings import Run, RunSimulator
+from candata.training.simulated import Progress, SimulatedWindows, simulated_windows
+from candata.training.simulator import Simulator, simulator
+
+
+def stated(
+    name: str,
+    scene: str | None,
+    effects: tuple[EffectSetting, ...] | None,
+    initial: Checkpoint | None,
+    train: Windows | MixedWindows,
+) -> RunSimulator | None:
+    """Return the simulator of a model that needs one, once it is known that it fits the data; None of another.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    scene : str or None
+        What `load_scene` takes; that of `initial`, else the scene that each episode names.
+    effects : tuple of EffectSetting or None
+        Its effects; those of `initial`, else none.
+    initial : Checkpoint or None
+        What the run begins with.
+    train : Windows or MixedWindows
+        What is trained on.
+
+    Raises
+    ------
+    UsageError
+        When effects are given to a model that reads no simulator.
+    CandataError
+        As `candata.training.episode_scenes.episode_scenes`.
+    """
+    earlier = None if initial is None else initial.run.simulator
+    if not find_model(name).needs_simulator:
+        if effects is not None:
+            raise UsageError(
+                f"{name} reads no simulator",
+                expected="a model that does, such as sim_residual",
+                found="effects to simulate with",
+                fix="leave --effects out",
+            )
+        return None
+    scene = scene or (earlier.scene if earlier else None)
+    if effects is None:
+        effects = earlier.effects if earlier else ()
+    sources = train.sources if isinstance(train, MixedWindows) else (train,)
+    digests: dict[str, str] = {}
+    for source in sources:
+        digests |= episode_scenes(source, scene, effects).digests
+    return RunSimulator(scene=scene, effects=effects, digests=digests)
+
+
+def simulated_feed(
+    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress
+) -> Windows | MixedWindows | SimulatedWindows:
+    """Return the windows with the forecasts of the run's simulator, where it has one."""
+    facts = run.simulator
+    if facts is None:
+        return windows
+    build = partial(simulator, scene=facts.scene, effects=facts.effects)
+    return simulated_windows(windows, build, simulating, first_share=processes.rank / processes.world)
+
+
+def trained_simulator(
+    source: Checkpoint, windows: Windows, scene: str | None = None, threads: int = 1
+) -> Simulator | None:
+    """Return the simulator that a trained model reads, for some windows; None for a model that reads none.
+
+    Parameters
+    ----------
+    source : Checkpoint
+        Of the run.
+    windows : Windows
+        What is to be forecast.
+    scene : str, optional
+        Where the scene lies now; that of the run by default.
+    threads : int
+        Threads of the stepping loop.
+
+    Raises
+    ------
+    UsageError
+        When a scene is not the one that the model was trained with, or there is none.
+    CandataError
+        As `candata.training.simulator.simulator`.
+    """
+    facts = source.run.simulator
+    if facts is None:
+        return None
+    made = simulator(windows, scene or facts.scene, facts.effects, threads=threads)
+    for name, digest in made.scenes.digests.items():
+        if facts.digests.get(name, digest) != digest:
+            raise UsageError(
+                f"scene {name} has changed since the model was trained",
+                expected=facts.digests[name][:12],
+                found=digest[:12],
+                where=Where(path=str(source.path)),
+                fix="bring the scene of that time back, or train again",
+            )
+    return made
