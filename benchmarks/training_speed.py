@@ -38,7 +38,7 @@ BATCH = 64
 #: Side of the matrix product that stands for the machine's peak.
 PEAK_SIDE = 1024
 #: Windows and samples of a forecast; what is to be reached.
-FORECAST_WINDOWS, SAMPLES = 4, 16
+FORECAST_WINDOWS, SAMPLES = 4, 4
 WINDOWS_TARGET, SAMPLING_TARGET, WAIT_TARGET = 1_000, 22, 0.01
 #: Models without a simulator; another one needs a scene.
 NAMES = [name for name in model_names() if name != "sim_residual"]

@@ -217,7 +217,7 @@ def filter_dataset(dataset: Dataset, expression: str, out: Path, finish: Finish 
     DataError
         When no episode is left, or a part is damaged.
     """
-    chosen_ids = frozenset(matching_ids(dataset, expression))
+    chosen_ids = matching_ids(dataset, expression)
     if not chosen_ids:
         raise DataError(
             "no episode is left",
@@ -226,7 +226,44 @@ def filter_dataset(dataset: Dataset, expression: str, out: Path, finish: Finish 
             where=Where(path=f"filter {expression}"),
             fix="see what there is: candata inspect",
         )
-    details = {"where": expression, "episodes": len(chosen_ids), "of": len(dataset)}
+    return chosen_dataset(dataset, chosen_ids, out, {"where": expression}, finish)
+
+
+def chosen_dataset(
+    dataset: Dataset, ids: Sequence[str], out: Path, details: dict[str, Any], finish: Finish = nothing_more
+) -> VersionFile:
+    """Return the version of a new dataset `out` that holds the episodes with these ids, its parts shared.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Version to choose from.
+    ids : sequence of str
+        Episodes; at least one.
+    out : Path
+        Folder of the new dataset.
+    details : dict
+        Why these, for the lineage.
+    finish : callable
+        As for `filter_dataset`.
+
+    Raises
+    ------
+    UsageError
+        When `out` stands.
+    DataError
+        When no episode is named, the version lacks one, or a part is damaged.
+    """
+    chosen_ids = frozenset(ids)
+    missing_ids = sorted(chosen_ids - set(dataset.ids))
+    if missing_ids or not chosen_ids:
+        raise DataError(
+            "these episodes cannot be chosen",
+            expected=f"at least 1 of the {len(dataset)} episodes",
+            found=", ".join(missing_ids[:8]) or "none",
+            where=Where(path=str(dataset.path)),
+        )
+    details = details | {"episodes": len(chosen_ids), "of": len(dataset)}
     with new_dataset(out, finish) as root:
         entries, excluded_ids = [], set()
         for part in dataset.raw_parts():

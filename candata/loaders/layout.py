@@ -87,6 +87,12 @@ def row_shapes(dataset: Dataset, channels: Sequence[str] | None) -> Shapes:
     return {name: _common_shape(dataset, layouts, name) for name in channels}
 
 
+def absent_channels(names: Sequence[str], datasets: Iterable[Dataset]) -> tuple[str, ...]:
+    """Return those of some channels that no episode of the datasets holds."""
+    held = {name for dataset in datasets for _, layout in _layouts(dataset) for name in layout}
+    return tuple(name for name in names if name not in held)
+
+
 def _common_shape(dataset: Dataset, layouts: list[tuple[list[str], Shapes]], name: str) -> tuple[int, ...]:
     """Return the shape of a channel, which every episode must hold alike."""
     ids_without_channel = [episode for ids, layout in layouts if name not in layout for episode in ids]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
@@ -56,7 +57,7 @@ class Reader(nn.Module):
             ("joint", "joint_position", sizes.joints),
             ("action", "action", sizes.actuators),
         ):
-            centre, scale = normaliser.channel(channel)
+            centre, scale = normaliser.channel(channel) if columns else (np.zeros(0), np.zeros(0))
             self._keep(name, centre[:columns], scale[:columns], (columns,))
         if normaliser.increments is None:
             raise UsageError("the normaliser has no scale of pose increments", expected="windows with object_pose")
@@ -133,9 +134,9 @@ class Reader(nn.Module):
             offsets / self.get_buffer("position_scale"),
             _attitude_columns(poses),
             torch.cat([steps.new_zeros(len(steps), 1, 6), steps], dim=1),
-            self._read("joint", batch["history/joint_position"]),
-            self._read("action", batch["history/action"]),
         ]
+        rows += [self._read("joint", batch["history/joint_position"])] if self.sizes.joints else []
+        rows += [self._read("action", batch["history/action"])] if self.sizes.actuators else []
         if self.fingertips is not None:
             rows.append(self._tips(self.fingertips, batch["history/joint_position"].to(poses.dtype), poses[:, -1]))
         features = torch.cat(rows, dim=-1)
@@ -159,7 +160,7 @@ class Reader(nn.Module):
 
     def _plan(self, batch: Batch) -> Tensor:
         """Return the plan, 0 at rows that are padded; planned row k is the episode's row t + k."""
-        if not self.config.planned_actions:
+        if not self.plan_size:
             size = (len(batch["history_pad"]), self.sizes.horizon, 0)
             return torch.zeros(size, dtype=self.increment_scale.dtype, device=batch["history_pad"].device)
         plan = self._read("action", batch["planned/action"])
@@ -198,10 +199,12 @@ class Reader(nn.Module):
     def _check(self, batch: Mapping[str, Tensor]) -> None:
         """Raise DataError when a name is missing."""
         config = self.config
-        required_names = ["history_pad", "history/object_pose", "history/joint_position", "history/action"]
+        required_names = ["history_pad", "history/object_pose"]
+        required_names += ["history/joint_position"] * bool(self.sizes.joints)
+        required_names += ["history/action"] * bool(self.sizes.actuators)
         required_names += ["history/contact"] * config.contact_history
         required_names += ["history/fingertip_contact"] * config.fingertip_contact
-        required_names += ["planned/action"] * config.planned_actions
+        required_names += ["planned/action"] * bool(self.plan_size)
         require_names(batch, required_names)
 
 

@@ -65,8 +65,9 @@ class EvaluationSettings:
         `simulator`, those of the free simulation, of the repaired one where there is a repair.
     threads : int
         Threads of the simulators.
-    history, horizon, rate_hz : int, int, float or None
-        Windows where no run says them; by default those that training takes.
+    shape : mapping of str to float or None
+        `history`, `horizon` and `rate_hz` of the windows where no run says them; what it leaves out is what
+        `candata train` takes by default.
     """
 
     group: str = "test"
@@ -81,9 +82,7 @@ class EvaluationSettings:
     effects: tuple[EffectSetting, ...] | None = None
     joints: JointsFrom = "recorded"
     threads: int = 1
-    history: int | None = None
-    horizon: int | None = None
-    rate_hz: float | None = None
+    shape: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,8 @@ def evaluate(
     held_out = _windows(dataset, split, evaluated, settings)
     entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
-    execute = max((each.execute for each in evaluated), default=evaluated_runs.EXECUTE)
+    own_execute = settings.execute or min(evaluated_runs.EXECUTE, held_out.horizon)
+    execute = max((each.execute for each in evaluated), default=own_execute)
     others = {**simulators.forecasters, **(BASELINES if settings.baselines else {})}
     entrants |= {name: Entrant(forecaster, held_out, execute) for name, forecaster in others.items()}
     if not entrants:
@@ -184,11 +184,10 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
             raise UnknownNameError(kind, word, words)
     if settings.simulator is False and _requires_simulator(settings):
         raise UsageError("a scene, effects or simulated joints, and no simulator", fix="leave --no-simulator out")
-    stated_shape = [name for name in jobs.DEFAULT_SHAPE if getattr(settings, name) is not None]
-    if stated_shape and evaluated:
+    if settings.shape and evaluated:
         raise UsageError(
             "the runs say what their windows are",
-            found=", ".join(f"--{name.replace('_', '-')}" for name in stated_shape),
+            found=", ".join(f"--{name.replace('_', '-')}" for name in settings.shape),
             fix="leave these options out: they are for an evaluation without runs",
         )
     ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
@@ -209,7 +208,7 @@ def _windows(
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    shape = {name: getattr(settings, name) or default for name, default in jobs.DEFAULT_SHAPE.items()}
+    shape = dict(jobs.DEFAULT_SHAPE) | dict(settings.shape or {})
     if evaluated:
         shape = {name: max(each.run.sizes[name] for each in evaluated) for name in ("history", "horizon")}
         shape["rate_hz"] = evaluated[0].run.rate_hz

@@ -14,6 +14,7 @@ from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import SetupError, UnknownNameError, UsageError, Where
 from candata.loaders import Effective, MixedWindows, Mixture, Normaliser, Split, Windows
+from candata.loaders.layout import absent_channels
 from candata.loaders.normaliser import Method
 from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
@@ -31,6 +32,8 @@ from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
 DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
+#: Channels that a model does without where no episode holds them: a toss has neither.
+OF_THE_ROBOT = ("joint_position", "action")
 #: Batches of the validation loss.
 HELD_OUT_BATCHES = 8
 
@@ -123,7 +126,9 @@ def prepare(
     notes: tuple[str, ...] = ()
     if initial is None:
         config, notes = with_hand(config, training_data.datasets.values(), request.scene)
-    reads = find_model(name).reads(config)
+    absent = absent_channels(OF_THE_ROBOT, training_data.datasets.values())
+    notes += (f"no {' and no '.join(absent)} in any episode: it is trained without",) if absent else ()
+    reads = tuple(channel for channel in find_model(name).reads(config) if channel not in absent)
     default_shape = DEFAULT_SHAPE if initial is None else initial.run.sizes | {"rate_hz": initial.run.rate_hz}
     requested_shape = {"history": request.history, "horizon": request.horizon, "rate_hz": request.rate_hz}
     window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}

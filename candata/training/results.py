@@ -214,12 +214,15 @@ class EpisodeScores(ResultRecord):
         By forecaster; empty without a point cloud.
     final_position_error_m : dict of str to float
         By forecaster.
+    increment_mse : dict of str to float
+        By forecaster, over the windows of the episode; see `WindowScores`.
     """
 
     id: str
     moved_m: float
     adds_auc: dict[str, float]
     final_position_error_m: dict[str, float]
+    increment_mse: dict[str, float] = Field(default_factory=dict)
 
 
 class SimulatorFacts(ResultRecord):

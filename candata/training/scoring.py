@@ -110,10 +110,10 @@ def score(
         From a course to the joints `(E, N, J)` that the closed loops feed; None replays the recorded ones.
     """
     clouds = _clouds(windows)
-    window_results = {}
+    window_results, increment_mse = {}, {}
     for name, entrant in entrants.items():
         stage(f"{name}: {len(chosen_windows(entrant.windows))} windows")
-        window_results[name] = window_scores(entrant.windows, entrant.forecaster, clouds, seed)
+        window_results[name], increment_mse[name] = window_scores(entrant.windows, entrant.forecaster, clouds, seed)
     rows_before = max(entrant.windows.history for entrant in entrants.values())
     reference, errors = course(windows, rows_before), {}
     fed_joints = None if joints is None else joints(reference)
@@ -128,7 +128,7 @@ def score(
         closed_loop=loop_results,
         pairs=pairs,
         breakdown=breakdown(windows.dataset, reference, errors),
-        by_episode=_by_episode(reference, errors),
+        by_episode=_by_episode(reference, errors, increment_mse),
         tracks=_tracks(reference, errors, entrants, rows_before, fed_joints, seed),
         rows=int(reference.valid.sum()),
         gap_rows=int((inside & ~reference.valid).sum()),
@@ -179,8 +179,13 @@ def _clouds(windows: Windows) -> NDArray | None:
     return windows.clouds if all(names[e] for e in np.unique(windows.owner)) else None
 
 
-def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int) -> WindowScores:
-    """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
+def window_scores(
+    windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int
+) -> tuple[WindowScores, dict[int, float]]:
+    """Return the open-loop scores of a forecaster, and the mean squared error of its increments by episode.
+
+    Steps that are not in the recording count in none; an episode without any is left out.
+    """
     batch = windows.batch(chosen_windows(windows))
     truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
     forecast = forecaster.forecast(batch, (seed,))
@@ -190,25 +195,32 @@ def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | No
     distance, angle = position_error(mean, truth), rotation_error(mean, truth)
     energy = metrics.energy_score(samples[..., :3], truth[..., :3])
     adds = metrics.adds_of(clouds, batch["cloud"], mean, truth) if clouds is not None else None
-    return WindowScores(
+    squares = _increment_squares(forecast.increments, begin, truth, valid)
+    scores = WindowScores(
         position_error_m=_by_step(distance, valid),
         rotation_error_rad=_by_step(angle, valid),
         position_mse_m2=_by_step(distance**2, valid),
         rotation_mse_rad2=_by_step(angle**2, valid),
-        increment_mse=_increment_mse(forecast.increments, begin, truth, valid),
+        increment_mse=float(np.nanmean(squares)) if np.isfinite(squares).any() else None,
         position_energy_m=_by_step(energy, valid),
         adds_m=_by_step(adds, valid) if adds is not None else (None,) * valid.shape[1],
         adds_auc=metrics.auc(adds[valid]) if adds is not None else None,
         contact=contact_scores(forecast.contact, batch.get("future/contact"), valid),
     )
+    episodes = batch["episode"]
+    parts = {int(episode): squares[episodes == episode] for episode in np.unique(episodes)}
+    return scores, {e: float(np.nanmean(part)) for e, part in parts.items() if np.isfinite(part).any()}
 
 
-def _increment_mse(forecast: NDArray, begin: NDArray, truth: NDArray, valid: NDArray[np.bool_]) -> float | None:
-    """Return the mean squared error of the samples' mean increment, over all steps that are real on both sides."""
+def _increment_squares(forecast: NDArray, begin: NDArray, truth: NDArray, valid: NDArray[np.bool_]) -> NDArray:
+    """Return `(B, H)` the mean square of the six errors of the samples' mean increment.
+
+    NaN for a step that is not real on both sides.
+    """
     recorded = increments(np.concatenate([begin[:, None].astype(np.float64), truth], axis=1))
     is_real = valid & np.concatenate([np.ones((len(valid), 1), bool), valid[:, :-1]], axis=1)
-    squares = (np.asarray(forecast, np.float64).mean(axis=0) - recorded)[is_real] ** 2
-    return float(squares.mean()) if squares.size else None
+    squares = (np.asarray(forecast, np.float64).mean(axis=0) - recorded) ** 2
+    return np.where(is_real, squares.mean(axis=-1), np.nan)
 
 
 def chosen_windows(windows: Windows) -> NDArray[np.int64]:
@@ -223,7 +235,9 @@ def _by_step(values: NDArray, valid: NDArray[np.bool_]) -> tuple[float | None, .
     return tuple(float(value[is_valid].mean()) if is_valid.any() else None for value, is_valid in columns)
 
 
-def _by_episode(course: Course, errors: Mapping[str, LoopErrors]) -> tuple[EpisodeScores, ...]:
+def _by_episode(
+    course: Course, errors: Mapping[str, LoopErrors], increment_mse: Mapping[str, Mapping[int, float]]
+) -> tuple[EpisodeScores, ...]:
     """Return the scores of each episode."""
     moved_m = position_error(course.truth, course.observed[:, -1:])
     largest_m = np.where(course.valid, moved_m, 0.0).max(axis=1, initial=0.0)
@@ -236,6 +250,7 @@ def _by_episode(course: Course, errors: Mapping[str, LoopErrors]) -> tuple[Episo
             moved_m=float(largest_m[k]),
             adds_auc={name: float(values[k]) for name, values in aucs.items()},
             final_position_error_m={name: float(values[k]) for name, values in final_m.items()},
+            increment_mse={name: values[episode] for name, values in increment_mse.items() if episode in values},
         )
         for k, episode in enumerate(course.episodes.tolist())
     )

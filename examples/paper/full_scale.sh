@@ -4,8 +4,8 @@
 #     GPUS=1 OUT=out/full sh examples/paper/full_scale.sh
 #
 # One model takes about 23 hours on the smaller set and 47 on the larger one on two idle CPU cores, so this wants GPUs.
-# A script that was stopped goes on when it is started again: sets that stand are kept, runs go on from their last
-# checkpoint, also on another number of GPUs.
+# It needs the objects of YCB: candata fetch ycb --from FOLDER --out out/ycb. A script that was stopped goes on when it is
+# started again: sets with the episodes that are missing, runs from their last checkpoint, also on another number of GPUs.
 set -eu
 
 GPUS=${GPUS:-1}
@@ -18,9 +18,7 @@ for set in mustard forty; do
         mustard) steps=76000 ;;  # 20 passes over 970,000 windows
         forty) steps=152000 ;;   # 20 passes over 1,940,000 windows
     esac
-    if [ ! -d "$OUT/$set" ]; then
-        candata generate-sim --recipe "examples/paper/$set.yaml" --out "$OUT/$set"
-    fi
+    candata generate-sim --recipe "examples/paper/$set.yaml" --out "$OUT/$set"
     for model in $MODELS; do
         torchrun --standalone --nproc-per-node "$GPUS" -m candata_cli.main train --data "$OUT/$set" --model "$model" \
             --preset base --batch "$BATCH" --steps "$steps" --device cuda --out "$OUT/runs/$set-$model"

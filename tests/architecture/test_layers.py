@@ -31,6 +31,7 @@ LAYERS = (
     ("gap",),
     ("checks",),
     ("repair",),
+    ("experiment",),
     ("reports",),
     ("testing",),
 )

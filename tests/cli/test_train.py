@@ -203,7 +203,7 @@ def test_fine_tuning_says_its_rate(trained, tmp_path):
 def test_data_without_a_hand_is_refused_in_one_message(tosses, tmp_path):
     done = run("train", "--data", tosses, "--model", "contact_diffusion", "--out", tmp_path / "run", "--steps", 2)
     assert done.code == 2
-    assert "the dataset lacks the channel joint_position" in done.err
+    assert "the dataset lacks the channel contact" in done.err
     assert not (tmp_path / "run").exists()
 
 

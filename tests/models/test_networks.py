@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from candata.models._activations import Mish
+from candata.models._convolutions import Convolution, TransposedConvolution, as_image
 from candata.models._encoders import PointNet, TemporalEncoder
-from candata.models._unet import Convolution, TimeEmbedding, TransposedConvolution, UNet, as_image
+from candata.models._unet import TimeEmbedding, UNet
 
 
 @pytest.fixture(autouse=True)
@@ -85,12 +86,21 @@ def test_times_are_told_apart():
     assert torch.pdist(found).min() > 0
 
 
-@pytest.mark.parametrize(("kernel", "stride"), [(5, 1), (3, 2), (1, 1)])
-def test_a_convolution_is_torchs_of_the_same_weights(kernel, stride, generator):
-    net, x = Convolution(3, 8, kernel, stride), torch.randn(2, 3, 7, generator=generator(0))
+@pytest.mark.parametrize(
+    ("kernel", "stride", "length"), [(5, 1, 7), (5, 1, 4), (5, 1, 2), (5, 1, 1), (3, 2, 7), (1, 1, 7)]
+)
+def test_a_convolution_and_its_gradient_are_torchs_of_the_same_weights(kernel, stride, length, generator):
+    net, x = Convolution(3, 8, kernel, stride), torch.randn(2, 3, length, generator=generator(0), requires_grad=True)
     theirs = torch.nn.Conv1d(3, 8, kernel, stride, padding=kernel // 2)
     theirs.load_state_dict(net.state_dict())
-    torch.testing.assert_close(net(as_image(x)).squeeze(2), theirs(x), rtol=1e-5, atol=1e-6)
+    ours, expected = net(as_image(x)).squeeze(2), theirs(x)
+    torch.testing.assert_close(ours, expected, rtol=1e-5, atol=1e-6)
+    direction = torch.randn(expected.shape, generator=generator(1))
+    found, wanted = (
+        torch.autograd.grad(y, [x, *layer.parameters()], direction) for y, layer in ((ours, net), (expected, theirs))
+    )
+    for part, wanted_part in zip(found, wanted, strict=True):
+        torch.testing.assert_close(part, wanted_part, rtol=1e-5, atol=1e-5)
 
 
 def test_a_transposed_convolution_is_torchs_of_the_same_weights(generator):

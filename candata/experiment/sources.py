@@ -1,0 +1,281 @@
+"""The sets of an experiment: simulated ones, worlds that stand in for the real one, and parts of real sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from candata.datasets import Dataset, append, open_dataset, put_cloud
+from candata.datasets.deriving import new_dataset
+from candata.datasets.filtering import chosen_dataset
+from candata.datasets.history import derived_lineage
+from candata.datasets.versions import DATASET
+from candata.effects import read_effects, read_randomisation
+from candata.errors import DataError, UsageError, Where
+from candata.experiment.config import Generation, SealedWorld
+from candata.gap.blind.cases import hidden_world
+from candata.gap.blind.draws import background
+from candata.gap.blind.outside import draw_outside
+from candata.loaders import find_split, make_split, save_split
+from candata.loaders.splits import DEFAULT
+from candata.scenes import Scene, load_scene
+from candata.scenes.clouds import surface_cloud
+from candata.schema.bench import Label, LabelsFile
+from candata.schema.effect import EffectSetting
+from candata.schema.json_text import parse_json, read_json
+from candata.schema.manifest import Lineage
+from candata.schema.randomisation import RandomEffect
+from candata.schema.scene import Noise
+from candata.schema.yaml_text import read_yaml
+from candata.simulate import open_seal
+from candata.simulate.episodes import EpisodeJob
+from candata.simulate.generate import Withheld, generate
+from candata.simulate.jobs import possible_policies
+from candata.simulate.recipe import SetOptions
+from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
+
+#: Shares of a set that is trained on: no part of it is for testing, which is done on real episodes.
+TRAINED_ON: Mapping[str, float] = {"train": 0.9, "val": 0.1}
+#: Name of the one label of a world with an outside cause, or with everything a little wrong.
+_CASE_NAME = "world"
+
+
+def set_options(generation: Generation, repair: tuple[EffectSetting, ...] = ()) -> SetOptions:
+    """Return what a set is made with; a repair is part of its simulator.
+
+    An effect that is drawn for each episode keeps its draw unless the repair says what it is.
+    """
+    given = read_effects(Path(generation.effects)).effects if generation.effects else ()
+    drawn = read_randomisation(Path(generation.randomise)) if generation.randomise else None
+    options: SetOptions = {
+        "objects": generation.objects,
+        "policies": generation.policies,
+        "policy_file": generation.policy_file,
+        "duration_s": generation.duration_s,
+        "noise": _noise(generation.noise_from) or generation.noise,
+        "taxels": generation.taxels,
+        "outcomes": generation.outcomes,
+    }
+    if drawn is None:
+        return options | {"effects": (*given, *repair)}
+    repaired = {(setting.name, setting.element) for setting in repair}
+    kept = tuple(each for each in drawn.effects if (each.name, each.element) not in repaired)
+    fixed = tuple(RandomEffect(name=s.name, element=s.element, parameters={**s.parameters}) for s in repair)
+    if fixed and drawn.together is not None:
+        raise UsageError(
+            "a repair acts always, and the randomisation says how many effects act together",
+            where=Where(path=str(generation.randomise)),
+            fix="give shares to its effects instead of `together`",
+        )
+    drawn_options: SetOptions = {"disturbances": drawn.disturbances, "together": drawn.together}
+    return options | drawn_options | {"randomisation": (*fixed, *kept)}
+
+
+def make_simulated(
+    root: Path,
+    generation: Generation,
+    repair: tuple[EffectSetting, ...],
+    jobs: int,
+    ray: str | None,
+    progress: Callable[[int], None],
+) -> Dataset:
+    """Return a simulated set, gone on with where it stands in part, with a split for training.
+
+    Raises
+    ------
+    CandataError
+        As `candata.simulate.generate.generate`.
+    """
+    generate(
+        root,
+        generation.scene,
+        generation.episodes,
+        generation.seed,
+        workers=jobs,
+        ray=ray,
+        progress=progress,
+        **set_options(generation, repair),
+    )
+    return _with_split(open_dataset(root))
+
+
+def make_sealed(
+    root: Path, world: SealedWorld, seal: Path, jobs: int, ray: str | None, progress: Callable[[int], None]
+) -> Dataset:
+    """Return the recordings of a world whose difference from the scene is sealed: those to train on come first.
+
+    Parameters
+    ----------
+    root : Path
+        Where the set goes.
+    world : SealedWorld
+        What differs.
+    seal : Path
+        The sealed file; made when missing, and used again for another set of the same world.
+    jobs, ray, progress
+        As for `candata.simulate.generate.generate`.
+
+    Raises
+    ------
+    CandataError
+        As `generate`; also when the seal is of another world.
+    """
+    scene, noise = load_scene(world.scene), _noise(world.noise_from)
+    episodes = world.train + world.test
+    seal.parent.mkdir(parents=True, exist_ok=True)
+    if world.hidden is None:
+        sensed = scene if noise is None else replace(scene, file=scene.file.model_copy(update={"noise": noise}))
+        return _case(root, sensed, world, seal, episodes)
+    withheld = Withheld(read_randomisation(Path(world.hidden)), seal)
+    options: SetOptions = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
+    options |= {"noise": noise or True}
+    generate(
+        root, world.scene, episodes, world.seed, withheld=withheld, workers=jobs, ray=ray, progress=progress, **options
+    )
+    return open_dataset(root)
+
+
+def _noise(path: str | None) -> Noise | None:
+    """Return the sensor noise of a file; None without one."""
+    return None if path is None else Noise.parse(read_yaml(Path(path), "the noise file"), path)
+
+
+def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, episodes: int) -> Dataset:
+    """Return recordings of a world with an outside cause, or in which everything is a little wrong; made at once."""
+    asked: dict[str, str | int | float] = {"cause": world.outside or "all_wrong", "seed": world.seed}
+    if not seal.exists():
+        salt = new_salt()
+        label = _drawn_label(scene, world, np.random.default_rng(secret_number(world.seed, salt, "experiment")))
+        write_once(seal, LabelsFile(salt=salt, asked=asked, labels={_CASE_NAME: canonical(label)}))
+    labels = LabelsFile.parse(read_json(seal), seal)
+    if labels.asked != asked:
+        raise UsageError(
+            "the seal is of another world",
+            expected=str(asked),
+            found=str(labels.asked),
+            where=Where(path=str(seal)),
+            fix="give the world another name, or choose another --out",
+        )
+    if not (root / DATASET).exists():
+        text = labels.labels[_CASE_NAME]
+        label, policies = Label.parse(parse_json(text), seal), possible_policies(scene)
+        with new_dataset(root) as draft:
+            cloud = put_cloud(draft, surface_cloud(scene))
+            plans = [
+                EpisodeJob(
+                    id=f"withheld-{i:06d}",
+                    index=i,
+                    policy=policies[i % len(policies)],
+                    seed=world.seed,
+                    effects=label.effects,
+                    hidden=True,
+                    point_cloud=cloud,
+                    noise_seed=label.seed,
+                )
+                for i in range(episodes)
+            ]
+            made = hidden_world(scene, label, plans, world.duration_s)
+            append(draft, made, Lineage(operation="sealed world", sealed=commitment(text, labels.salt)))
+    return open_dataset(root)
+
+
+def _drawn_label(scene: Scene, world: SealedWorld, rng: np.random.Generator) -> Label:
+    """Return the truth of a world with an outside cause, or in which everything is a little wrong."""
+    if world.outside is not None:
+        label = Label(case=_CASE_NAME, kind="outside", outside=draw_outside(world.outside, scene, rng))
+    else:
+        label = Label(case=_CASE_NAME, kind="background", effects=background(scene, rng, ""))
+    return label.model_copy(update={"seed": int(rng.integers(2**62))})
+
+
+def opened_effects(seal: Path, dataset: Dataset) -> tuple[EffectSetting, ...] | None:
+    """Return the effects that were sealed; None where what differs is no effect of the library.
+
+    Raises
+    ------
+    CandataError
+        When the seal is missing, damaged, or of another set.
+    """
+    value = read_json(seal)
+    if not isinstance(value, dict) or "labels" not in value:
+        return open_seal(seal, dataset)
+    labels = LabelsFile.parse(value, seal)
+    text = labels.labels[_CASE_NAME]
+    if commitment(text, labels.salt) not in {step.sealed for step in dataset.lineage}:
+        raise DataError("the seal does not fit the dataset", where=Where(path=str(seal)))
+    label = Label.parse(parse_json(text), seal)
+    return None if label.outside is not None else label.effects
+
+
+def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: str | None = None) -> Dataset:
+    """Return the test part of a real set, or so many of its training episodes, as a dataset of its own.
+
+    Parameters
+    ----------
+    root : Path
+        Where it goes; what stands there is whole.
+    dataset : Dataset
+        The real set.
+    settings : dict
+        `part` (`test`, `train-all`, `train-30`); `train`, how many come first of a set that was made for this, or
+        `split`, the name of a stored split (null: the default one).
+    cloud_of : str, optional
+        Scene whose object's surface the episodes get as point cloud; those that have one keep it.
+
+    Raises
+    ------
+    DataError
+        When there are fewer training episodes than are asked for, or none are left.
+    """
+    if not (root / DATASET).exists():
+        ids, details = _part_ids(dataset, settings), {"part": settings["part"]}
+        if cloud_of is None:
+            chosen_dataset(dataset, ids, root, details)
+        else:
+            _copy_with_cloud(dataset, ids, root, details, cloud_of)
+    return _with_split(open_dataset(root), {"test": 1.0} if settings["part"] == "test" else TRAINED_ON)
+
+
+def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: dict[str, Any], scene: str) -> None:
+    """Write a copy of some episodes whose object has the surface of a scene's object as point cloud."""
+    points = surface_cloud(load_scene(scene))
+    with new_dataset(root) as draft:
+        cloud = put_cloud(draft, points)
+        copies = (
+            replace(episode, meta=episode.meta.model_copy(update={"point_cloud": episode.meta.point_cloud or cloud}))
+            for episode in dataset.episodes(ids)
+        )
+        append(draft, copies, derived_lineage("filter", [dataset], details))
+
+
+def _part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:
+    """Return the ids of a part, training episodes in the order of their ids."""
+    if "train" in settings:
+        ids = sorted(dataset.ids)
+        train, test = ids[: settings["train"]], ids[settings["train"] :]
+    else:
+        split = find_split(dataset, settings["split"])
+        train, test = sorted((*split.train, *split.val)), sorted(split.test)
+    word = str(settings["part"]).removeprefix("train-")
+    if word == "test":
+        return test
+    count = len(train) if word == "all" else int(word)
+    if count > len(train):
+        raise DataError(
+            "too few real training episodes",
+            expected=f"{count}, as real_counts says",
+            found=str(len(train)),
+            where=Where(path=str(dataset.path)),
+            fix="record more, or ask for fewer",
+        )
+    return train[:count]
+
+
+def _with_split(dataset: Dataset, shares: Mapping[str, float] = TRAINED_ON) -> Dataset:
+    """Return the dataset with a default split of these shares; a single episode is all of the first group."""
+    save_split(dataset, make_split(dataset, shares if len(dataset) > 1 else {next(iter(shares)): 1.0}), DEFAULT)
+    return dataset

@@ -1,0 +1,121 @@
+"""The file of an experiment: what it may say, and what is refused before anything is made."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from candata.errors import CandataError, DataError, UnknownNameError, UsageError
+from candata.experiment import plan_cells, read_experiment
+from candata.experiment.cells import digests
+from tests.experiment.conftest import TINY
+
+SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"colums": {}}, "unknown key `colums`, did you mean `columns`"),
+        ({"models": {"mpl": TINY}}, "unknown model 'mpl'"),
+        ({"models": {"mlp": {"config": {"widht": 3}}}}, "did you mean `width`"),
+        ({"models": {"mlp": {"step": 3}}}, "unknown key `step`, did you mean `steps`"),
+        ({"columns": {"a": {"sim": "smi", "real": "real"}}}, "unknown source of data in column a 'smi'"),
+        ({"columns": {"a": {"real": "real"}}}, "column a has no simulated set"),
+        ({"regimes": ["finetune"]}, "regimes.0"),
+        ({"mixture": {"sim": 1.0}}, "expected shares of sim and real"),
+        ({"without_contact": "unet2"}, "unknown model of the experiment 'unet2'"),
+        ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED}}}, "expected one of hidden, outside"),
+        ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED | {"outside": "wnd"}}}}, "unknown outside cause"),
+        ({"data": {"sim": {"path": "sim"}, "real": {"path": "real", "recipe": "a.yaml"}}}, "expected one of path"),
+    ],
+)
+def test_what_means_nothing_is_refused_in_words(experiment_file, changes, words):
+    with pytest.raises(UsageError) as refusal:
+        plan_cells(read_experiment(experiment_file(**changes)))
+    assert words in str(refusal.value)
+
+
+def test_a_scale_is_of_episodes_and_steps_but_leaves_real_episodes_enough(experiment_file):
+    data = {
+        "sim": {"generate": {"scene": "cube_toss", "episodes": 1000}},
+        "real": {"sealed": SEALED | {"all_wrong": True}},
+    }
+    models = {"mlp": {"steps": 1000, "fine_tune_steps": 100}}
+    path = experiment_file(data=data, models=models, real_counts=[0, 10, 100])
+    file = read_experiment(path, 0.05)
+    world = file.data["real"].sealed
+    assert (file.data["sim"].generate.episodes, file.models["mlp"].steps, file.models["mlp"].fine_tune_steps) == (
+        50,
+        50,
+        20,
+    )
+    assert (world.train, world.test, file.real_counts) == (30, 30, (0, 10, 30))
+    for scale in (0.0, 1.5):
+        with pytest.raises(UsageError, match="--scale is out of range"):
+            read_experiment(path, scale)
+
+
+def test_more_real_episodes_than_a_world_has_are_refused(experiment_file):
+    data = {"sim": {"path": "sim"}, "real": {"sealed": SEALED | {"all_wrong": True}}}
+    with pytest.raises(UsageError, match="more real training episodes"):
+        read_experiment(experiment_file(data=data, real_counts=[101]))
+
+
+def test_a_recipe_is_read_with_its_paths_seen_from_its_own_folder(experiment_file, tmp_path):
+    (tmp_path / "recipes").mkdir()
+    (tmp_path / "recipes" / "set.yaml").write_text("scene: cube_toss\nepisodes: 20\nrandomise: r.yaml\n")
+    data = {"sim": {"recipe": "recipes/set.yaml"}, "real": {"path": "real"}}
+    generation = read_experiment(experiment_file(data=data)).data["sim"].generate
+    assert generation.randomise == str(tmp_path / "recipes" / "r.yaml")
+    (tmp_path / "recipes" / "set.yaml").write_text("scene: cube_toss\nepisods: 20\n")
+    with pytest.raises(UsageError, match="did you mean `episodes`"):
+        read_experiment(experiment_file(data=data))
+
+
+def test_a_set_that_is_not_there_and_a_channel_that_no_public_set_has_are_refused(experiment_file):
+    missing = {"sim": {"path": "sim"}, "real": {"path": "elsewhere"}}
+    with pytest.raises(DataError, match="candata fetch"):
+        plan_cells(read_experiment(experiment_file(data=missing)))
+    touching = {"contact_diffusion": {"config": {"fingertip_contact": True}}}
+    with pytest.raises(DataError, match="no public set has poses, joints, commands and tip forces together"):
+        plan_cells(read_experiment(experiment_file(models=touching)))
+
+
+def test_only_what_comes_of_a_change_has_another_digest(experiment_file):
+    models = {"mlp": TINY, "twin": {"model": "mlp", **TINY}}
+    before = plan_cells(read_experiment(experiment_file(models=models)))
+    after = plan_cells(read_experiment(experiment_file(models=models | {"twin": {"model": "mlp", **TINY, "steps": 5}})))
+    first, second = digests(before.cells), digests(after.cells)
+    changed = {name for name in first if first[name] != second[name]}
+    assert changed == {name for name in first if "/twin/" in name}
+    assert first["train/single/twin/nominal/sim/seed-0"] == first["train/single/mlp/nominal/sim/seed-0"]
+
+
+def test_rows_are_chosen_by_words(experiment_file):
+    plan = plan_cells(read_experiment(experiment_file(seeds=[0, 1])))
+    chosen = plan.chosen(["seed-1", "sim"])
+    assert {(e.regime, e.seed) for e in chosen.entries if e.model} == {("sim", 1)}
+    assert not any(name.startswith("train") and "real-finetune" in name for name in chosen.cells)
+    with pytest.raises(UnknownNameError, match="did you mean 'seed-1'"):
+        plan.chosen(["seed-11"])
+
+
+def test_a_repair_needs_a_scene_and_one_object(experiment_file):
+    with pytest.raises(CandataError, match="column single has a repair and no scene"):
+        plan_cells(read_experiment(experiment_file(rows=["repaired simulator"])))
+
+
+@pytest.mark.parametrize("name", ["table1", "repair"])
+def test_the_papers_experiments_can_be_planned(name, monkeypatch):
+    monkeypatch.setattr("candata.experiment.plan.content_digest", lambda path: path)  # objects are fetched elsewhere
+    path = Path(__file__).resolve().parents[2] / "examples" / "paper" / f"{name}.yaml"
+    plan = plan_cells(read_experiment(path, 0.05)).chosen(["seed-0"])
+    kinds = Counter(cell.kind for cell in plan.cells.values())
+    assert min(kinds[kind] for kind in ("data", "part", "diagnosis", "train", "evaluation")) > 0
+    assert {entry.column for entry in plan.entries} == set(plan.file.columns)
+    residual_runs = [c for n, c in plan.cells.items() if n.startswith("train/") and "/sim_residual/repaired/" in n]
+    assert residual_runs
+    assert all("effects" in cell.inputs for cell in residual_runs)
