@@ -77,11 +77,10 @@ def main() -> None:
             f"{name}: closed-loop ADD-S AUC {100 * loop['adds_auc']:.1f} %, {near['count']}/{near['total']} within 5 cm"
         )
     for pair in (pair for pair in found["pairs"] if pair["forecaster"] == run.name):
-        points = [100 * pair[key] for key in ("value", "low", "high")]
-        print(
-            f"gain over {pair['reference']}: {points[0]:+.1f} points (95 % {points[1]:+.1f} to {points[2]:+.1f}), "
-            "target > 0 over stays and keeps_velocity"
-        )
+        ends = [pair[key] for key in ("low", "high")]
+        interval = "no interval" if None in ends else f"95 % {100 * ends[0]:+.1f} to {100 * ends[1]:+.1f}"
+        target = ", target > 0" if pair["reference"] in ("stays", "keeps_velocity") else ""
+        print(f"gain over {pair['reference']}: {100 * pair['value']:+.1f} points ({interval}){target}")
     print(f"{rate:,.0f} windows/s; waiting for data {100 * wait:.2f} % of the time, target <= {100 * WAIT_TARGET:g} %")
 
 

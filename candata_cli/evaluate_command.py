@@ -37,7 +37,9 @@ Simulator = Annotated[
     typer.Option("--simulator/--no-simulator", help="The nominal simulator; by default where a scene is known."),
 ]
 Baselines = Annotated[bool, typer.Option("--baselines/--no-baselines", help="stays and keeps_velocity.")]
-Joints = Annotated[str, typer.Option("--joints", help="recorded, or servo: a lag fitted on training episodes.")]
+Joints = Annotated[
+    str, typer.Option("--joints", help="recorded, servo (a lag fitted on training episodes) or simulator.")
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -63,6 +65,11 @@ def evaluate(
         int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    history: Annotated[int | None, typer.Option("--history", min=1, help="Without a run: rows of the past, 8.")] = None,
+    horizon: Annotated[
+        int | None, typer.Option("--horizon", min=1, help="Without a run: steps to forecast, 16.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Without a run: rate of the steps, 10.")] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Folder for the page; by default RUN/evaluation of the first run, or ./evaluation."),
@@ -91,6 +98,8 @@ def evaluate(
     set_threads(threads)
     effects_file = _effects(effects)
     others: dict[str, Any] = {"baselines": baselines, "simulator": simulator, "joints": joints, "threads": threads or 1}
+    shape = {"history": history, "horizon": horizon, "rate_hz": rate_hz}
+    others["shape"] = {name: value for name, value in shape.items() if value is not None} or None
     repair = effects_file.effects if effects_file else None
     with console.stages() as stage:
         dataset = console.open_named(str(data), version)

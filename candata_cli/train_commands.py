@@ -25,6 +25,14 @@ Version = Annotated[str | None, typer.Option("--version", help="Version of the d
 Scaling = Annotated[
     str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
 ]
+Initial = Annotated[Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")]
+ReadScene = Annotated[
+    str | None,
+    typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
+]
+Repair = Annotated[
+    Path | None, typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads.")
+]
 CommandNoise = Annotated[float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
@@ -60,18 +68,10 @@ def train(
     history: Annotated[int | None, typer.Option("--history", min=1, help="Rows of the past, default 8.")] = None,
     horizon: Annotated[int | None, typer.Option("--horizon", min=1, help="Steps to forecast, default 16.")] = None,
     rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Rate of the model's steps, default 10.")] = None,
-    init: Annotated[
-        Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
-    ] = None,
+    init: Initial = None,
     normaliser: Scaling = None,
-    scene: Annotated[
-        str | None,
-        typer.Option("--scene", help="Scene that a model reads (particle, sim_residual); the recordings' by default."),
-    ] = None,
-    effects: Annotated[
-        Path | None,
-        typer.Option("--effects", metavar="FILE", help="Repair of the simulator that sim_residual reads."),
-    ] = None,
+    scene: ReadScene = None,
+    effects: Repair = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
     command_noise: CommandNoise = 0,
@@ -122,8 +122,10 @@ def _run(
     """Train on the sources, folder or name and version of each, and print what stands; one process speaks."""
     from candata.training import prepare
     from candata.training import train as train_job
+    from candata.training.memory import keep_freed_memory
     from candata.training.processes import joined
 
+    keep_freed_memory()
     with (
         console.stoppable(lambda: _saved_text(out), goes_on=True),
         joined(device) as processes,
@@ -133,19 +135,17 @@ def _run(
         datasets = {name: console.open_named(path, version) for name, (path, version) in sources.items()}
         sources_read = datasets if request.mixture else datasets[""]
         job = prepare(sources_read, request, settings, device, processes, _simulating(stage))
-        _tell_clipped(job, stage)
-        for note in job.notes if processes.is_first else ():
-            console.note(note)
+        if processes.is_first:
+            _tell_notes(job, stage)
         if request.init is not None:
             stage(f"fine-tuning {request.init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as should_stop:
             progress = train_job(job, out, _teller(stage), should_stop)
+    if not processes.is_first:
+        return
     if settings.share(progress.step, progress.elapsed_s) < 1:
-        if not processes.is_first:
-            raise typer.Exit(console.EXIT_STOPPED)
         raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
-    if processes.is_first:
-        _print_trained(job, progress, out, list(sources.values())[-1][0], json)
+    _print_trained(job, progress, out, list(sources.values())[-1][0], json)
 
 
 def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
@@ -153,8 +153,10 @@ def _stages(speaks: bool) -> AbstractContextManager[Callable[[str], None]]:
     return console.stages() if speaks else nullcontext(lambda _text: None)
 
 
-def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:
-    """Tell how many values the normaliser clips."""
+def _tell_notes(job: TrainingJob, stage: Callable[[str], None]) -> None:
+    """Tell what the job notes, and how many values the normaliser clips."""
+    for note in job.notes:
+        console.note(note)
     if clip_counts := job.run.normaliser.get("clipped"):
         values = ", ".join(f"{name} {count:,}" for name, count in clip_counts.items())
         stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")

@@ -20,6 +20,8 @@ class HistoryConfig(Record):
     ----------
     seed : int
         Seed of the first weights.
+    members : int
+        Nets that are trained side by side and forecast in turn: their spread says how sure they are.
     planned_actions : bool
         Whether the actions a(t..t+H-1) that will be taken are read too. Without them the forecast must guess what
         the policy will do, as the paper's does.
@@ -39,6 +41,7 @@ class HistoryConfig(Record):
     """
 
     seed: int = Field(default=0, ge=0, lt=2**64)
+    members: int = Field(default=1, ge=1)
     planned_actions: bool = True
     world_position: bool = True
     contact_history: bool = False
@@ -238,7 +241,7 @@ def parser(kind: type[Record]) -> Callable[[Mapping[str, Any]], Record]:
     return lambda values: kind.parse(dict(values), "model configuration")
 
 
-def check_sizes(config: HistoryConfig, sizes: Sizes) -> None:
+def check_sizes(config: HistoryConfig | ParticleConfig, sizes: Sizes) -> None:
     """Return nothing when a model of this configuration can be built for such data.
 
     Raises
@@ -252,10 +255,16 @@ def check_sizes(config: HistoryConfig, sizes: Sizes) -> None:
             expected="history and horizon of at least 1",
             found=f"history {sizes.history}, horizon {sizes.horizon}",
         )
-    if isinstance(config, UnetConfig) and config.cloud != "none" and sizes.points < 1:
+    reads_clouds = config.cloud != "none" if isinstance(config, UnetConfig) else isinstance(config, ParticleConfig)
+    if reads_clouds and sizes.points < 1:
         raise UsageError(
             "the data hold no point clouds",
             expected="a cloud for each object",
             found="0 points",
-            fix="add clouds to the dataset, or set the model's `cloud` to `none`",
+            fix="add clouds to the dataset, or "
+            + (
+                "set the model's `cloud` to `none`"
+                if isinstance(config, UnetConfig)
+                else "take a model that reads none"
+            ),
         )

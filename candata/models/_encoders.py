@@ -12,8 +12,8 @@ from candata.errors import DataError
 from candata.models._activations import Mish
 from candata.models._config import UnetConfig
 from candata.models._contract import Batch, Sizes
+from candata.models._convolutions import as_image, convolution
 from candata.models._inputs import Inputs, Reader, turn_points
-from candata.models._unet import as_image, convolution
 
 #: Divides clouds, so that hand-sized objects are of size one [m]. A round number; the size itself stays visible.
 CLOUD_SCALE_M = 0.1

@@ -2,9 +2,6 @@
 
 Sources: E. Perez et al., "FiLM", arXiv 1709.07871, eq. 1; the layout (two residual blocks a level, kernel 5, group
 norm, Mish) is that of C. Chi et al., "Diffusion Policy", arXiv 2303.04137, section III and its 1D CNN.
-
-Inside, a sequence is an image of one row, `(B, C, 1, L)` with its channels last in memory: there a CPU convolves and
-norms the short sequences of these networks faster than as `(B, C, L)`. The weights are those of 1D convolutions.
 """
 
 from __future__ import annotations
@@ -16,49 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from candata.models._activations import Mish
-
-
-def as_image(x: Tensor) -> Tensor:
-    """Return `(B, C, 1, L)`, channels last in memory, of `x (B, C, L)`; no copy of a transposed `(B, L, C)`."""
-    return x.unsqueeze(2).contiguous(memory_format=torch.channels_last)
-
-
-def channels_last(weight: Tensor) -> nn.Parameter:
-    """Return the weights `(a, b, kernel)` with b last in memory, as a convolution of images takes them: no copies."""
-    return nn.Parameter(weight.detach().transpose(1, 2).contiguous().transpose(1, 2))
-
-
-class Convolution(nn.Conv1d):
-    """A convolution over the time of `(B, C, 1, L)`."""
-
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
-        super().__init__(inputs, outputs, kernel, stride, padding=kernel // 2)
-        self.weight = channels_last(self.weight)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return `(B, outputs, 1, L')`."""
-        if self.kernel_size == (1,):  # a matrix product: half the time of a convolution
-            rows = nn.functional.linear(x.permute(0, 2, 3, 1), self.weight[..., 0], self.bias)
-            return rows.permute(0, 3, 1, 2)
-        weight = self.weight.unsqueeze(2)
-        return nn.functional.conv2d(x, weight, self.bias, (1, *self.stride), (0, self.kernel_size[0] // 2))
-
-
-class TransposedConvolution(nn.ConvTranspose1d):
-    """A transposed convolution over the time of `(B, C, 1, L)`, to twice the length: kernel 4, stride 2, padding 1."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__(inputs, outputs, 4, stride=2, padding=1)
-        self.weight = channels_last(self.weight)
-
-    def forward(self, x: Tensor, output_size: list[int] | None = None) -> Tensor:
-        """Return `(B, outputs, 1, 2 L)`."""
-        return nn.functional.conv_transpose2d(x, self.weight.unsqueeze(2), self.bias, (1, 2), (0, 1))
-
-
-def convolution(inputs: int, outputs: int, kernel: int, groups: int) -> nn.Sequential:
-    """Return convolution over time, group norm, Mish: `(B, inputs, 1, L)` to `(B, outputs, 1, L)`."""
-    return nn.Sequential(Convolution(inputs, outputs, kernel), nn.GroupNorm(groups, outputs), Mish())
+from candata.models._convolutions import Convolution, TransposedConvolution, as_image, convolution
 
 
 class ResidualBlock(nn.Module):

@@ -6,7 +6,7 @@ Source: "Contact-Aware Neural Dynamics", arXiv 2601.12796; what it leaves open a
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from candata.loaders import Normaliser
@@ -15,7 +15,7 @@ from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
 from candata.models._encoders import mlp
 from candata.models._inputs import masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 from candata.models.diffusion_unet import DiffusionUNet
 
 
@@ -67,10 +67,10 @@ class ContactDiffusion(DiffusionUNet):
         return torch.where(use, truth, predicted)
 
 
-def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> ContactDiffusion:
+def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: ContactDiffusion(config, sizes, normaliser))
+    return with_members(config, lambda: ContactDiffusion(config, sizes, normaliser))
 
 
 MODEL = Model(

@@ -11,7 +11,7 @@ from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, integers, normal
 from candata.models._encoders import HistoryEncoder
 from candata.models._inputs import Inputs, Reader, masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 from candata.models._unet import UNet
 
 
@@ -83,10 +83,10 @@ class DiffusionUNet(nn.Module):
         return output.transpose(1, 2)
 
 
-def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> DiffusionUNet:
+def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: DiffusionUNet(config, sizes, normaliser))
+    return with_members(config, lambda: DiffusionUNet(config, sizes, normaliser))
 
 
 MODEL = Model(

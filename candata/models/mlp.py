@@ -10,7 +10,7 @@ from candata.models._config import MlpConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._encoders import mlp
 from candata.models._inputs import Reader, masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 
 
 class Mlp(nn.Module):
@@ -41,10 +41,10 @@ class Mlp(nn.Module):
         return increments.unflatten(-1, (self.sizes.horizon, 6))
 
 
-def _build(config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> Mlp:
+def _build(config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: Mlp(config, sizes, normaliser))
+    return with_members(config, lambda: Mlp(config, sizes, normaliser))
 
 
 MODEL = Model(

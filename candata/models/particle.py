@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from candata.errors import UsageError
 from candata.loaders import Normaliser
-from candata.models._config import ParticleConfig, parser
+from candata.models._config import ParticleConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
 from candata.models._encoders import chosen_clouds, mlp
@@ -254,8 +254,7 @@ def _placed(pose: Tensor, points: Tensor) -> Tensor:
 
 def _build(config: ParticleConfig, sizes: Sizes, normaliser: Normaliser) -> Particle:
     """Return the module with the first weights of the configuration's seed."""
-    if sizes.points < 1:
-        raise UsageError("the data hold no point clouds", expected="a cloud for each object", found="0 points")
+    check_sizes(config, sizes)
     return with_seed(config.seed, lambda: Particle(config, sizes, normaliser))
 
 

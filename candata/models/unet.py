@@ -13,7 +13,7 @@ from candata.models._config import UNET_PRESETS, UnetConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._encoders import HistoryEncoder
 from candata.models._inputs import Reader, masked_mean
-from candata.models._seed import with_seed
+from candata.models._members import with_members
 from candata.models._unet import UNet
 
 
@@ -56,10 +56,10 @@ class Unet(nn.Module):
         return increments.transpose(1, 2)
 
 
-def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> Unet:
+def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: Unet(config, sizes, normaliser))
+    return with_members(config, lambda: Unet(config, sizes, normaliser))
 
 
 MODEL = Model(

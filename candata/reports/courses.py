@@ -15,10 +15,12 @@ from candata.reports.envelope import runs
 from candata.reports.standing import best_model
 from candata.rotation import difference
 from candata.training.forecasters import BASELINES
-from candata.training.results import REPAIRED, SIMULATOR, Evaluation, Scores, Track
+from candata.training.results import REPAIRED, SIMULATOR, EpisodeScores, Evaluation, Scores, Track
 
 #: Classes of the forecasters' marks, in the order of an evaluation's rows.
 CSS_CLASSES = tuple(f"forecaster{number}" for number in range(8))
+#: Episodes that are drawn at most; of more, as many are taken, evenly spread.
+MOST_EPISODES = 400
 #: Coordinates of sampled loops, and the least range of their axes, so that noise at rest does not fill a chart.
 COORDINATES = {"x [cm]": 2.0, "y [cm]": 2.0, "z [cm]": 2.0, "angle turned since the loop began [°]": 10.0}
 
@@ -135,17 +137,22 @@ def _coordinates(poses: NDArray, begin: NDArray) -> list[list[float]]:
 def episodes(evaluation: Evaluation) -> Markup:
     """Return each episode's ADD-S AUC over how far its object moved, by forecaster."""
     classes = forecaster_classes(evaluation.forecasters)
-    moved_cm = [100 * episode.moved_m for episode in evaluation.by_episode]
-    shares = [100 * share for episode in evaluation.by_episode for share in episode.adds_auc.values()]
+    count = min(MOST_EPISODES, len(evaluation.by_episode))
+    places = np.linspace(0, len(evaluation.by_episode) - 1, count).round().astype(int)
+    drawn = [evaluation.by_episode[k] for k in places.tolist()]
+    moved_cm = [100 * episode.moved_m for episode in drawn]
+    shares = [100 * share for episode in drawn for share in episode.adds_auc.values()]
     x, y = linear_axis(moved_cm, 10, include=(0.0,)), linear_axis(shares, 7, " %")
     forecasters = reversed(list(evaluation.forecasters.items()))
-    marks = join_markup(_episode_dots(evaluation, name, scores, classes[name], x, y) for name, scores in forecasters)
+    marks = join_markup(_episode_dots(drawn, name, scores, classes[name], x, y) for name, scores in forecasters)
     return chart(x, y, marks, "ADD-S AUC of every episode", 250, "largest motion of the object [cm]")
 
 
-def _episode_dots(evaluation: Evaluation, name: str, scores: Scores, css_class: str, x: Axis, y: Axis) -> Markup:
+def _episode_dots(
+    drawn: Sequence[EpisodeScores], name: str, scores: Scores, css_class: str, x: Axis, y: Axis
+) -> Markup:
     """Return a mark for each episode of one forecaster."""
-    scores_by_episode = [episode for episode in evaluation.by_episode if name in episode.adds_auc]
+    scores_by_episode = [episode for episode in drawn if name in episode.adds_auc]
     xs, ys = [100 * e.moved_m for e in scores_by_episode], [100 * e.adds_auc[name] for e in scores_by_episode]
 
     def tooltip(k: int) -> str:

@@ -15,7 +15,7 @@ from candata.reports import evaluation_tables as tables
 from candata.reports.document import render_page
 from candata.reports.numbers import percent
 from candata.reports.standing import best_model, certainty, standing
-from candata.training.results import Evaluation, SimulatorFacts, Track
+from candata.training.results import Evaluation, Track
 
 #: Errors drawn over the horizon: title, field of `WindowScores`, factor from SI to the unit shown, and how to read it.
 HORIZON_FIGURES = (
@@ -23,6 +23,8 @@ HORIZON_FIGURES = (
     ("Rotation", "rotation_error_rad", 180 / math.pi, "°", "angle to the recorded attitude"),
     ("ADD-S", "adds_m", 1e3, "mm", "distance between the surfaces, blind to symmetry"),
 )
+#: How joints move that follow a servo lag.
+SERVO_WORDS = "each joint a first-order lag, gain and offset"
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,8 @@ def _joints_words(evaluation: Evaluation) -> str:
     """Return where joints come from."""
     if evaluation.joints_from == "recorded":
         return "too"
+    if evaluation.joints_from in evaluation.simulators:
+        return f"are those of the {evaluation.joints_from}"
     return f"follow a servo lag fitted on training episodes ({evaluation.joints_from})"
 
 
@@ -225,25 +229,21 @@ def _method(evaluation: Evaluation) -> list[tuple[str, str]]:
         f"begins after {e.begins_after} rows; a model does its steps, then the next forecast sees the poses that came "
         "of it; all begin at the same row and are scored at the same instants"
     )
-    joints = "no servo is modelled" if e.joints_from == "recorded" else "each joint a first-order lag, gain and offset"
+    joints = {"recorded": "no servo is modelled"} | dict.fromkeys(e.simulators, "those of its free run")
     return [
         ("evaluated on", evaluated_on),
         ("gaps", gaps),
         ("steps", f"{rate:g} Hz; the mean of {e.samples} samples of {e.sampling_steps} steps; mean quaternions"),
         ("closed loop", closed_loop),
         ("actions", f"{e.actions_from}, those of the coming steps too where a model reads them"),
-        ("joints", f"{e.joints_from}: {joints}; a simulator moves its own joints"),
-        *((name, _simulator_words(facts)) for name, facts in e.simulators.items()),
+        ("joints", f"{e.joints_from}: {joints.get(e.joints_from, SERVO_WORDS)}; a simulator moves its own joints"),
+        *(
+            (name, f"run free from the row at which the loop begins, {tables.simulator_words(facts)}")
+            for name, facts in e.simulators.items()
+        ),
         ("ADD-S", "mean distance of the recorded cloud's points to the nearest forecast one; AUC at 0.1 m"),
         ("success", "final position within 5 cm of the recorded one; Wilson interval"),
         ("contact", "from a probability of 0.5 on; phases are those of the recorded contact"),
         *(("note", note) for note in e.notes),
         ("seed, candata", f"{e.seed}, {e.revision}"),
     ]
-
-
-def _simulator_words(facts: SimulatorFacts) -> str:
-    """Return the scene and the effects of a simulator."""
-    scene = facts.scene or "the scene of each episode"
-    effects = ", ".join(effect.name + (f" ({effect.element})" if effect.element else "") for effect in facts.effects)
-    return f"{scene}, run free from the row at which the loop begins; effects: {effects or 'none'}"

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 
 from candata.reports.numbers import digits
 from candata.reports.standing import REFERENCES, has_intervals
-from candata.training.results import Contact, Evaluation, EventTiming, Group, GroupScores, Pair, Success
+from candata.training.results import (
+    Contact,
+    Evaluation,
+    EventTiming,
+    Group,
+    GroupScores,
+    ModelFacts,
+    Pair,
+    SimulatorFacts,
+    Success,
+)
 
 DASH = "\N{EN DASH}"
 #: What results are broken down by, as a title.
@@ -191,7 +201,7 @@ def models_table(evaluation: Evaluation) -> Table | None:
             "not known" if facts.seen_episodes is None else f"{facts.seen_episodes} episodes",
             f"{facts.history} rows, {facts.horizon} steps",
             f"{facts.execute} steps",
-            {None: DASH, True: "past and planned actions", False: "past actions only"}[facts.planned_actions],
+            _knows(facts),
             facts.contact_from,
         )
         for name, facts in evaluation.models.items()
@@ -199,9 +209,22 @@ def models_table(evaluation: Evaluation) -> Table | None:
     return Table("The models", head, rows) if rows else None
 
 
+def simulator_words(facts: SimulatorFacts) -> str:
+    """Return the scene and the effects of a simulator."""
+    scene = facts.scene or "the scene of each episode"
+    effects = ", ".join(effect.name + (f" ({effect.element})" if effect.element else "") for effect in facts.effects)
+    return f"{scene}, effects: {effects or 'none'}"
+
+
+def _knows(facts: ModelFacts) -> str:
+    """Return what a model is told of what comes."""
+    actions = {None: DASH, True: "past and planned actions", False: "past actions only"}[facts.planned_actions]
+    return actions if facts.simulator is None else f"{actions}; the simulator: {simulator_words(facts.simulator)}"
+
+
 def lead_time(evaluation: Evaluation, steps: int) -> str:
     """Return `1.6 s`."""
-    return f"{steps / evaluation.rate_hz:g} s"
+    return f"{steps / evaluation.rate_hz:.3g} s"
 
 
 def share(value: float | None) -> str:

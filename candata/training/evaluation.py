@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from candata import __version__
 from candata.datasets import Dataset
@@ -19,14 +23,15 @@ from candata.training.data import channels_for
 from candata.training.evaluated_runs import EvaluatedRun
 from candata.training.forecasters import BASELINES, TrainedModel
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation, ModelFacts, Scores, SimulatorFacts, Track
+from candata.training.rollout import Course
 from candata.training.run_simulator import trained_simulator
 from candata.training.scoring import Entrant, EvaluationFindings, chosen_windows, score
-from candata.training.servo_lag import ServoLags, fit_servo_lags
+from candata.training.servo_lag import fit_servo_lags, followed_joints
 from candata.training.simulator import Simulator, simulator
 
 #: What a score or a simulator reads of the recordings where they hold it, whatever the models read.
 READ_WHERE_RECORDED = ("joint_position", "action", "contact")
-JointsFrom = Literal["recorded", "servo"]
+JointsFrom = Literal["recorded", "servo", "simulator"]
 
 
 @dataclass(frozen=True)
@@ -56,11 +61,13 @@ class EvaluationSettings:
     effects : tuple of EffectSetting or None
         The repair: the simulator with these effects is a row too.
     joints : str
-        What closed loops feed the models as joints: `recorded`, or `servo`, a lag fitted on training episodes.
+        What closed loops feed the models as joints: `recorded`; `servo`, a lag fitted on training episodes; or
+        `simulator`, those of the free simulation, of the repaired one where there is a repair.
     threads : int
         Threads of the simulators.
     shape : mapping of str to float or None
-        `history`, `horizon` and `rate_hz` of the windows where no run says them; those of `candata train` by default.
+        `history`, `horizon` and `rate_hz` of the windows where no run says them; what it leaves out is what
+        `candata train` takes by default.
     """
 
     group: str = "test"
@@ -132,8 +139,8 @@ def evaluate(
     entrants |= {name: Entrant(forecaster, held_out, execute) for name, forecaster in others.items()}
     if not entrants:
         raise UsageError("nothing to evaluate", expected="a run, a simulator, or baselines", fix="name a run")
-    servo_lags = fit_servo_lags(held_out) if settings.joints == "servo" else None
-    findings = score(held_out, entrants, settings.seed, stage, servo_lags)
+    joints_from, joints = _joints(held_out, settings, simulators)
+    findings = score(held_out, entrants, settings.seed, stage, joints)
     scored = {scores.id for scores in findings.by_episode}
     return Evaluation(
         dataset=f"{dataset.name}@{dataset.digest[:12]}",
@@ -148,8 +155,8 @@ def evaluate(
         samples=settings.samples,
         sampling_steps=settings.steps,
         seed=settings.seed,
-        joints_from=_joints_from(held_out, servo_lags),
-        models={each.name: _model_facts(each, seen[each.name], scored, findings) for each in evaluated},
+        joints_from=joints_from,
+        models={each.name: _model_facts(each, seen[each.name], scored, findings, settings) for each in evaluated},
         simulators=dict(simulators.facts),
         pairs=findings.pairs,
         breakdown=findings.breakdown,
@@ -175,8 +182,14 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     ):
         if word not in words:
             raise UnknownNameError(kind, word, words)
-    if settings.simulator is False and (settings.scene or settings.effects is not None):
-        raise UsageError("a scene or effects, and no simulator", fix="leave --no-simulator out")
+    if settings.simulator is False and _requires_simulator(settings):
+        raise UsageError("a scene, effects or simulated joints, and no simulator", fix="leave --no-simulator out")
+    if settings.shape and evaluated:
+        raise UsageError(
+            "the runs say what their windows are",
+            found=", ".join(f"--{name.replace('_', '-')}" for name in settings.shape),
+            fix="leave these options out: they are for an evaluation without runs",
+        )
     ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
     ranges += [("steps", settings.steps, each.run.config.get("train_steps")) for each in evaluated]
     ranges += [("execute", each.execute, each.run.sizes["horizon"]) for each in evaluated]
@@ -195,14 +208,11 @@ def _windows(
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    shape = settings.shape or jobs.DEFAULT_SHAPE
-    sizes: list[Mapping[str, float]] = [each.run.sizes for each in evaluated] or [shape]
-    options: dict[str, Any] = {
-        "history": int(max(size["history"] for size in sizes)),
-        "horizon": int(max(size["horizon"] for size in sizes)),
-        "rate_hz": evaluated[0].run.rate_hz if evaluated else shape["rate_hz"],
-        "channels": channels_for(tuple(sorted(channels)), dataset),
-    }
+    shape = dict(jobs.DEFAULT_SHAPE) | dict(settings.shape or {})
+    if evaluated:
+        shape = {name: max(each.run.sizes[name] for each in evaluated) for name in ("history", "horizon")}
+        shape["rate_hz"] = evaluated[0].run.rate_hz
+    options: dict[str, Any] = {**shape, "channels": channels_for(tuple(sorted(channels)), dataset)}
     if settings.group != "all":
         options |= {"split": settings.group, "splits": split}
     full_windows = windows(dataset, **options)  # refuses a horizon that no episode holds
@@ -241,14 +251,13 @@ def _simulators(held_out: Windows, settings: EvaluationSettings) -> _Simulators:
     if settings.simulator is False:
         return _Simulators({}, {})
     rows = {SIMULATOR: ()} | ({} if settings.effects is None else {REPAIRED: settings.effects})
-    required = settings.simulator or settings.scene is not None or settings.effects is not None
     try:
         forecasters = {
             name: simulator(held_out, settings.scene, effects, f"the {name}", settings.threads)
             for name, effects in rows.items()
         }
     except CandataError as error:
-        if required:
+        if settings.simulator or _requires_simulator(settings):
             raise
         return _Simulators({}, {}, (f"no simulator beside them: {error.problem}",))
     facts = {name: SimulatorFacts(scene=settings.scene, effects=effects) for name, effects in rows.items()}
@@ -263,20 +272,41 @@ def _with_scene(track: Track, held_out: Windows, nominal: Simulator | None) -> T
     return replace(track, scene=list(nominal.scenes.scenes.values())[number])
 
 
-def _joints_from(held_out: Windows, servo_lags: ServoLags | None) -> str:
-    """Return what the closed loops feed the models as joints."""
-    if servo_lags is None:
-        return "recorded"
-    count = len(held_out.joint_names)
-    moved = len(servo_lags.joints)
-    return "servo" if moved == count else f"servo for {moved} of {count}, others recorded"
+def _joints(
+    held_out: Windows, settings: EvaluationSettings, simulators: _Simulators
+) -> tuple[str, Callable[[Course], NDArray] | None]:
+    """Return the origin of the joints that closed loops feed, and what makes them; None replays the recorded ones."""
+    if settings.joints == "servo":
+        lags = fit_servo_lags(held_out)
+        count, moved = len(held_out.joint_names), len(lags.joints)
+        words = "servo" if moved == count else f"servo for {moved} of {count}, others recorded"
+        return words, partial(followed_joints, lags=lags)
+    if settings.joints == "simulator":
+        name = list(simulators.forecasters)[-1]
+        return name, partial(_simulated_joints, simulator=simulators.forecasters[name])
+    return "recorded", None
+
+
+def _simulated_joints(course: Course, simulator: Simulator) -> NDArray:
+    """Return the joints of a free simulation of a course."""
+    joints = simulator.free_run(course).joints
+    return np.zeros((*course.valid.shape, 0)) if joints is None else joints
+
+
+def _requires_simulator(settings: EvaluationSettings) -> bool:
+    """Tell whether something is asked for that only a simulator gives."""
+    return settings.scene is not None or settings.effects is not None or settings.joints == "simulator"
 
 
 def _model_facts(
-    evaluated: EvaluatedRun, seen: Sequence[str] | None, scored: set[str], findings: EvaluationFindings
+    evaluated: EvaluatedRun,
+    seen: Sequence[str] | None,
+    scored: set[str],
+    findings: EvaluationFindings,
+    settings: EvaluationSettings,
 ) -> ModelFacts:
     """Return what was evaluated under a run's name."""
-    run = evaluated.run
+    run, read = evaluated.run, evaluated.run.simulator
     return ModelFacts(
         run=evaluated.checkpoint.path.parent.name,
         checkpoint=evaluated.checkpoint.path.name,
@@ -289,6 +319,7 @@ def _model_facts(
         history=run.sizes["history"],
         horizon=run.sizes["horizon"],
         execute=evaluated.execute,
+        simulator=None if read is None else SimulatorFacts(scene=settings.scene or read.scene, effects=read.effects),
         contact_from=contact_from(evaluated, findings.closed_loop[evaluated.name].contact is not None),
     )
 

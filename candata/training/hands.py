@@ -34,16 +34,17 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
     """
     if not getattr(config, "reads_hand", False) or config.hand is not None:
         return config, ()
-    facts = [parse_json(text) for dataset in datasets for text in dataset.catalog(["meta"])["meta"].to_pylist()]
+    catalogs = [dataset.catalog(["scene", "meta"]) for dataset in datasets]
+    facts = parse_json(catalogs[0]["meta"][0].as_py())
     if scene is not None:
         base, mark, _ = scene.rpartition(OBJECT_MARK)
         hand = _hand(base if mark and not Path(scene).exists() else scene, facts)
     else:
-        named_scenes = [str(fields["scene"]) for fields in facts if fields.get("scene") is not None]
+        named_scenes = [name for table in catalogs for name in table["scene"].to_pylist() if name is not None]
         if not named_scenes:
             return config, ("no fingertips: the recordings name no scene; --scene gives the hand's",)
         try:
-            hand = _hand(named_scenes[0].partition(OBJECT_MARK)[0], facts)
+            hand = _hand(str(named_scenes[0]).partition(OBJECT_MARK)[0], facts)
         except CandataError as error:
             return config, (f"no fingertips: {error.problem}; --scene gives the hand's",)
     if hand is None:
@@ -51,14 +52,14 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
     return config.model_copy(update={"hand": hand}), ()
 
 
-def _hand(scene: str, facts: list[dict]) -> HandKinematics | None:
-    """Return the hand of a scene, which must have the joints and actuators of the recordings."""
+def _hand(scene: str, facts: dict) -> HandKinematics | None:
+    """Return the hand of a scene, which must have the joints and actuators of the recordings, told by `facts`."""
     loaded_scene = load_scene(scene)
     for key, expected in (
         ("joint_names", loaded_scene.file.joints),
         ("actuator_names", loaded_scene.file.actuator_names),
     ):
-        names = tuple(facts[0].get(key, ()))
+        names = tuple(facts.get(key, ()))
         if names != tuple(expected):
             raise UsageError(
                 f"scene {scene} is not of the recordings' hand",

@@ -198,12 +198,13 @@ def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path
     job.module.train()
     with job.processes.sharing():
         losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, progress.step))
-    state.optimiser.zero_grad(set_to_none=True)
+    for parameter in state.parameters:
+        parameter.grad = None
     losses["loss"].backward()
-    parameters = [parameter for parameter in job.module.parameters() if parameter.grad is not None]
+    gradient = [parameter.grad for parameter in state.parameters if parameter.grad is not None]
     terms = torch.stack([value.detach() for value in losses.values()])
-    job.processes.average([*(parameter.grad for parameter in parameters if parameter.grad is not None), terms])
-    norm = float(torch.nn.utils.clip_grad_norm_(parameters, settings.clip_norm, foreach=True))
+    job.processes.average([*gradient, terms])
+    norm = _clip(gradient, settings.clip_norm)
     values = dict(zip(losses, terms.tolist(), strict=True))
     is_finite = math.isfinite(values["loss"]) and math.isfinite(norm)
     if is_finite:
@@ -222,6 +223,14 @@ def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path
     )
     if state.progress.bad_in_row >= settings.bad_limit:
         raise _divergence_error(state.progress, settings, folder)
+
+
+def _clip(gradient: list[torch.Tensor], largest_norm: float) -> float:
+    """Return the norm of the gradient, which is scaled, in place, to at most `largest_norm`."""
+    norm = float(torch.linalg.vector_norm(torch.stack(torch._foreach_norm(gradient))))
+    if norm > largest_norm:
+        torch._foreach_mul_(gradient, largest_norm / norm)
+    return norm
 
 
 def _report(job: TrainingJob, state: TrainingState, tally: _LogTally, log: StepLog) -> TrainingReport:

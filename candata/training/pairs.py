@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -21,6 +22,7 @@ ENDS = (0.025, 0.975)
 LEAST_EPISODES = 8
 
 
+@dataclass(frozen=True)
 class ResampledAreas:
     """Areas under the curve of all forecasters, as recorded and on the same resampled episodes.
 
@@ -32,26 +34,8 @@ class ResampledAreas:
         On resampled episodes; None for fewer than `LEAST_EPISODES`.
     """
 
-    def __init__(self, areas: Mapping[str, Array], counts: NDArray[np.int64], seed: int) -> None:
-        """Resample.
-
-        Parameters
-        ----------
-        areas : mapping of str to (E,) float64
-            Sum over an episode's rows of what each adds to the area, by forecaster.
-        counts : (E,) int64
-            Rows of each episode.
-        seed : int
-            Seed of the draws.
-        """
-        names, table = list(areas), np.stack([*areas.values(), counts.astype(np.float64)], axis=1)
-        sums = table.sum(axis=0)
-        self.value = dict(zip(names, (sums[:-1] / sums[-1]).tolist(), strict=True))
-        self.draws: dict[str, Array] | None = None
-        if len(counts) >= LEAST_EPISODES:
-            rng = np.random.default_rng([seed, 3])
-            drawn = np.concatenate([_times_drawn(rng, len(counts)) @ table for _ in range(RESAMPLES // CHUNK)])
-            self.draws = dict(zip(names, (drawn[:, :-1] / drawn[:, -1:]).T, strict=True))
+    value: dict[str, float]
+    draws: dict[str, Array] | None
 
     def interval(self, name: str) -> Interval | None:
         """Return the interval of a forecaster's own area."""
@@ -66,6 +50,28 @@ class ResampledAreas:
         low, high = (None, None) if self.draws is None else _ends(self.draws[forecaster] - self.draws[reference])
         value = self.value[forecaster] - self.value[reference]
         return Pair(forecaster=forecaster, reference=reference, value=value, low=low, high=high)
+
+
+def resampled_areas(areas: Mapping[str, Array], counts: NDArray[np.int64], seed: int) -> ResampledAreas:
+    """Return the areas of all forecasters on the same resampled episodes.
+
+    Parameters
+    ----------
+    areas : mapping of str to (E,) float64
+        Sum over an episode's rows of what each adds to the area, by forecaster.
+    counts : (E,) int64
+        Rows of each episode.
+    seed : int
+        Seed of the draws.
+    """
+    names, table = list(areas), np.stack([*areas.values(), counts.astype(np.float64)], axis=1)
+    sums = table.sum(axis=0)
+    value = dict(zip(names, (sums[:-1] / sums[-1]).tolist(), strict=True))
+    if len(counts) < LEAST_EPISODES:
+        return ResampledAreas(value, None)
+    rng = np.random.default_rng([seed, 3])
+    drawn = np.concatenate([_times_drawn(rng, len(counts)) @ table for _ in range(RESAMPLES // CHUNK)])
+    return ResampledAreas(value, dict(zip(names, (drawn[:, :-1] / drawn[:, -1:]).T, strict=True)))
 
 
 def _times_drawn(rng: np.random.Generator, count: int) -> Array:

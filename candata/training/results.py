@@ -225,6 +225,13 @@ class EpisodeScores(ResultRecord):
     increment_mse: dict[str, float] = Field(default_factory=dict)
 
 
+class SimulatorFacts(ResultRecord):
+    """What a simulator is: the scene (null: each episode's own), and the effects added to it."""
+
+    scene: str | None
+    effects: tuple[EffectSetting, ...] = ()
+
+
 class ModelFacts(ResultRecord):
     """What was evaluated under a model's name.
 
@@ -242,6 +249,8 @@ class ModelFacts(ResultRecord):
         Its rows of the past and steps of the future.
     execute : int
         Steps executed before the next forecast in closed loop.
+    simulator : SimulatorFacts or None
+        The simulator whose forecasts it reads.
     contact_from : str
         What the closed loop feeds it as contact: `recorded`, `predicted`, `not read`, or `predicted, fingertips
         recorded`.
@@ -258,14 +267,8 @@ class ModelFacts(ResultRecord):
     history: int
     horizon: int
     execute: int
+    simulator: SimulatorFacts | None = None
     contact_from: str
-
-
-class SimulatorFacts(ResultRecord):
-    """What a simulator's row is: the scene (null: each episode's own), and the effects added to it."""
-
-    scene: str | None
-    effects: tuple[EffectSetting, ...] = ()
 
 
 class Evaluation(ResultRecord):
@@ -286,8 +289,8 @@ class Evaluation(ResultRecord):
     samples, sampling_steps, seed : int
         Samples averaged, steps of a sampler, seed of the noise.
     joints_from, actions_from : str
-        What the closed loop feeds the models: joints `recorded`, or by a `servo` lag fitted on training episodes;
-        actions `recorded`. A simulator moves its own joints.
+        What the closed loop feeds the models: joints `recorded`, by a `servo` lag fitted on training episodes, or of
+        the simulator so named; actions `recorded`. A simulator moves its own joints.
     models : dict of str to ModelFacts
         By name.
     simulators : dict of str to SimulatorFacts

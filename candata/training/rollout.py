@@ -68,10 +68,13 @@ class Loop:
         Its poses, at the steps of `Course.truth`.
     contact : (E, N) float64 or None
         Its probability of contact.
+    joints : (E, N, J) float64 or None
+        Its joints; None where it forecasts none.
     """
 
     poses: NDArray
     contact: NDArray | None
+    joints: NDArray | None = None
 
 
 @runtime_checkable

@@ -15,7 +15,7 @@ from candata.training.breakdown import breakdown
 from candata.training.contact_scores import contact_scores
 from candata.training.forecasters import Forecaster
 from candata.training.loop_errors import LoopErrors, area, closed_loop_scores, final_position_error, loop_errors
-from candata.training.pairs import ResampledAreas
+from candata.training.pairs import resampled_areas
 from candata.training.poses import mean_pose, position_error, rotation_error
 from candata.training.results import (
     ClosedLoopScores,
@@ -26,7 +26,6 @@ from candata.training.results import (
     WindowScores,
 )
 from candata.training.rollout import Course, close_loop, course
-from candata.training.servo_lag import ServoLags, followed_joints
 
 #: Windows that are forecast at most; of more, as many are taken, evenly spread.
 MOST_WINDOWS = 4096
@@ -93,7 +92,7 @@ def score(
     entrants: Mapping[str, Entrant],
     seed: int,
     stage: Callable[[str], None] = lambda _name: None,
-    servo_lags: ServoLags | None = None,
+    joints: Callable[[Course], NDArray] | None = None,
 ) -> EvaluationFindings:
     """Return the scores of all entrants on the same windows, and on the same episodes at the same instants.
 
@@ -107,8 +106,8 @@ def score(
         Seed of the noise and of the resampling.
     stage : callable
         Called with what is being done.
-    servo_lags : ServoLags, optional
-        What moves the joints that the closed loops feed; None replays the recorded ones.
+    joints : callable, optional
+        From a course to the joints `(E, N, J)` that the closed loops feed; None replays the recorded ones.
     """
     clouds = _clouds(windows)
     window_results, increment_mse = {}, {}
@@ -117,9 +116,10 @@ def score(
         window_results[name], increment_mse[name] = window_scores(entrant.windows, entrant.forecaster, clouds, seed)
     rows_before = max(entrant.windows.history for entrant in entrants.values())
     reference, errors = course(windows, rows_before), {}
+    fed_joints = None if joints is None else joints(reference)
     for name, entrant in entrants.items():
         stage(f"{name}: {len(reference.episodes)} episodes in closed loop")
-        loop = close_loop(_course(entrant, rows_before, servo_lags), entrant.forecaster, entrant.execute, seed)
+        loop = close_loop(_course(entrant, rows_before, fed_joints), entrant.forecaster, entrant.execute, seed)
         errors[name] = loop_errors(reference, loop, clouds)
     loop_results, pairs = _closed_loops(reference, errors, seed)
     inside = np.arange(1, reference.valid.shape[1] + 1) <= reference.steps[:, None]
@@ -129,19 +129,16 @@ def score(
         pairs=pairs,
         breakdown=breakdown(windows.dataset, reference, errors),
         by_episode=_by_episode(reference, errors, increment_mse),
-        tracks=_tracks(reference, errors, entrants, rows_before, servo_lags, seed),
+        tracks=_tracks(reference, errors, entrants, rows_before, fed_joints, seed),
         rows=int(reference.valid.sum()),
         gap_rows=int((inside & ~reference.valid).sum()),
         begins_after=rows_before,
     )
 
 
-def _course(entrant: Entrant, rows_before: int, servo_lags: ServoLags | None) -> Course:
+def _course(entrant: Entrant, rows_before: int, fed_joints: NDArray | None) -> Course:
     """Return the course as an entrant sees it."""
-    seen = course(entrant.windows, rows_before)
-    if servo_lags is None or "joint_position" not in entrant.windows.channels:
-        return seen
-    return replace(seen, joints=followed_joints(seen, servo_lags))
+    return replace(course(entrant.windows, rows_before), joints=fed_joints)
 
 
 def _closed_loops(
@@ -151,7 +148,7 @@ def _closed_loops(
     scores = {name: closed_loop_scores(course, each) for name, each in errors.items()}
     if any(each.adds is None for each in errors.values()):
         return scores, ()
-    areas = ResampledAreas({name: area(course, each) for name, each in errors.items()}, course.valid.sum(1), seed)
+    areas = resampled_areas({name: area(course, each) for name, each in errors.items()}, course.valid.sum(1), seed)
     with_interval = {
         name: each.model_copy(update={"adds_auc_interval": areas.interval(name)}) for name, each in scores.items()
     }
@@ -163,7 +160,7 @@ def _tracks(
     errors: Mapping[str, LoopErrors],
     entrants: Mapping[str, Entrant],
     rows_before: int,
-    servo_lags: ServoLags | None,
+    fed_joints: NDArray | None,
     seed: int,
 ) -> tuple[Track, ...]:
     """Return a few episodes; the best model that draws samples has them followed in some of them."""
@@ -172,7 +169,7 @@ def _tracks(
     if not drawn:
         return shown
     name = min(drawn, key=lambda each: float(errors[each].position[reference.valid].mean()))
-    seen = _course(entrants[name], rows_before, servo_lags)
+    seen = _course(entrants[name], rows_before, fed_joints)
     return tracks.with_samples(shown, name, drawn[name], seen, entrants[name].execute, seed)
 
 

@@ -36,6 +36,8 @@ class SimulatedArrays:
     object_pose : (B, H, 7) float64
         Poses as the scene's sensors report them; the last one where a window needs no more steps, and from where a
         simulation failed.
+    joint_position : (B, H, J) float64
+        Joints as the scene's sensors report them.
     contact : (B, H) float64
         1 where anything but the support touched the object in the control step before, else 0.
     steps : int
@@ -43,6 +45,7 @@ class SimulatedArrays:
     """
 
     object_pose: Array
+    joint_position: Array
     contact: Array
     steps: int
 
@@ -80,7 +83,7 @@ class Simulator:
         batch = at_rows(course.windows, course.episodes, np.zeros(len(course.episodes), np.int64))
         batch["history/object_pose"] = course.observed
         simulated = self._simulate(batch, course.steps, course.truth.shape[1])
-        return Loop(simulated.object_pose, simulated.contact)
+        return Loop(simulated.object_pose, simulated.contact, simulated.joint_position)
 
     def simulate(self, batch: Batch) -> SimulatedArrays:
         """Return the simulated poses of a batch of the windows, and the contacts.
@@ -100,6 +103,7 @@ class Simulator:
         """Return the simulated poses of `steps (B,)` model steps, up to the same number for all."""
         count = len(steps)
         object_pose, contact, taken = np.zeros((count, horizon, 7)), np.zeros((count, horizon)), 0
+        joint_position = np.zeros((count, horizon, len(self.windows.joint_names)))
         history_rows = (~np.asarray(batch["history_pad"])).sum(1)
         turn = self.scenes.number[batch["episode"]]
         for number, scene in enumerate(self.scenes.scenes.values()):
@@ -110,8 +114,9 @@ class Simulator:
                 part = members[first : first + TOGETHER]
                 played = self._play(scene, {name: values[part] for name, values in batch.items()}, steps[part], horizon)
                 object_pose[part], contact[part] = played.object_pose, played.contact
+                joint_position[part] = played.joint_position
                 taken += played.steps
-        return SimulatedArrays(object_pose, contact, taken)
+        return SimulatedArrays(object_pose, joint_position, contact, taken)
 
     def _play(self, scene: Scene, batch: Batch, steps: NDArray[np.int64], horizon: int) -> SimulatedArrays:
         """Return the simulated poses of windows that play in one scene together."""
@@ -135,9 +140,12 @@ class Simulator:
         )
         window = np.arange(len(steps))[:, None]
         sound = np.minimum(rows, np.maximum(played.failed - 1, start.lead)[:, None])
-        contact = played.touch[window, sound].astype(float)
+        no_joints = np.zeros((*played.touch.shape, 0))
         return SimulatedArrays(
-            played.readings["object_pose"][window, sound], contact, (count - 1) * scene.substeps * len(steps)
+            played.readings["object_pose"][window, sound],
+            played.readings.get("joint_position", no_joints)[window, sound],
+            played.touch[window, sound].astype(float),
+            (count - 1) * scene.substeps * len(steps),
         )
 
 

@@ -19,6 +19,8 @@ class TrainingState:
     ----------
     module : torch.nn.Module
         The model.
+    parameters : list of Parameter
+        What of it is trained.
     weights : dict of str to Tensor
         Its weights and buffers, the memory they share with it: they change as it trains.
     average : dict of str to Tensor
@@ -30,6 +32,7 @@ class TrainingState:
     """
 
     module: torch.nn.Module
+    parameters: list[torch.nn.Parameter]
     weights: dict[str, torch.Tensor]
     average: dict[str, torch.Tensor]
     optimiser: torch.optim.AdamW
@@ -57,11 +60,10 @@ class TrainingState:
         self.module.load_state_dict(source.tensors(checkpoint.WEIGHTS))
         for name, value in source.tensors(checkpoint.AVERAGE).items():
             self.average[name].copy_(value)
-        parameters = list(self.module.parameters())
         moments: dict[int, dict[str, torch.Tensor]] = {}
         for name, value in source.tensors(checkpoint.OPTIMISER).items():
             index, key = name.split("/")
-            parameter = parameters[int(index)]
+            parameter = self.parameters[int(index)]
             # The fused optimiser reads moments in the order in which the weights lie in memory.
             moment = torch.empty_like(parameter).copy_(value) if value.shape == parameter.shape else value
             moments.setdefault(int(index), {})[key] = moment
@@ -72,15 +74,16 @@ class TrainingState:
 
 def initial_state(module: torch.nn.Module, settings: TrainingSettings) -> TrainingState:
     """Return the state at step 0 of a run that begins with the weights of `module`."""
+    parameters = list(module.parameters())
     optimiser = torch.optim.AdamW(
-        module.parameters(),
+        parameters,
         lr=settings.learning_rate,
         betas=settings.betas,
         weight_decay=settings.weight_decay,
         fused=True,
     )
     weights = {name: value.detach() for name, value in module.state_dict().items()}
-    return TrainingState(module, weights, ema.start_average(weights), optimiser, Progress())
+    return TrainingState(module, parameters, weights, ema.start_average(weights), optimiser, Progress())
 
 
 def generator(device: str, *key: int) -> torch.Generator:

@@ -17,8 +17,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from candata.datasets import open_dataset
+from candata.errors import UsageError
 from candata.reports import filmstrip
+from candata.training import TrainingSettings, TrainRequest, prepare
+from candata.training.processes import Processes
 from candata.training.results import Evaluation
+from candata.training.steplog import read_log
 from tests.cli.command import run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -116,13 +121,14 @@ def test_evaluate_compares_runs_and_a_repair_and_prints_json(trained, tmp_path, 
     second, effects = tmp_path / "second", tmp_path / "effects.yaml"
     shutil.copytree(trained.out, second)
     effects.write_text("scene: xhand_tabletop\neffects: [{name: object_mass, parameters: {mass_scale: 2.0}}]\n")
-    fixed = ("--split", "val", "--samples", 1, "--no-baselines", "--effects", effects)
+    fixed = ("--split", "val", "--samples", 1, "--no-baselines", "--joints", "simulator", "--effects", effects)
     done = run("evaluate", trained.out, second, trained.data, *fixed, "--out", tmp_path / "page", "--json")
     assert done.code == 0, done.err
     found = Evaluation.model_validate_json(done.out)
     assert (found.group, list(found.forecasters)) == ("val", ["run", "second", "simulator", "repaired simulator"])
     assert found.forecasters["run"].closed_loop == found.forecasters["second"].closed_loop
     assert found.simulators["repaired simulator"].effects[0].name == "object_mass"
+    assert found.joints_from == "repaired simulator"
     # Twice the mass is wrong for these episodes.
     assert found.pair("simulator", "repaired simulator").value > 0
 
@@ -140,6 +146,34 @@ def test_evaluate_compares_runs_and_a_repair_and_prints_json(trained, tmp_path, 
 def test_evaluate_names_a_wrong_word(trained, tmp_path, more, said):
     done = run("evaluate", trained.out, trained.data, "--out", tmp_path / "page", *more)
     assert (done.code, said in done.err) == (2, True), done.err
+
+
+#: The losses of two processes equal those of one within this: sums round apart.
+SHARED_TOLERANCE = 1e-5
+
+
+def test_two_processes_train_as_one_and_one_goes_on(data, tmp_path):
+    noise = ("--pose-noise-m", 0.002, "--command-noise", 0.01, "--learning-rate", 0.003)
+    shared = [str(word) for word in words(data, tmp_path / "two", *noise, steps=20)]
+    launcher = ("-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", "-m", "candata_cli.main")
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    two = subprocess.run([sys.executable, *launcher, *shared], env=env, capture_output=True, text=True, check=True)
+    assert two.stdout.count("mlp, 20 steps in ") == 1, "each process speaks"
+    assert run(*words(data, tmp_path / "one", *noise, steps=20)).code == 0
+    one_log, two_log = (read_log(tmp_path / name) for name in ("one", "two"))
+    assert [line["step"] for line in one_log] == [line["step"] for line in two_log]
+    for one_line, two_line in zip(one_log, two_log, strict=True):
+        for name in {"loss", "gradient_norm", "held_out_loss"} & set(one_line):
+            assert two_line[name] == pytest.approx(one_line[name], abs=SHARED_TOLERANCE)
+    again = run(*shared)
+    assert again.code == 0
+    assert "mlp, 20 steps in " in again.out
+
+
+def test_a_batch_that_does_not_divide_is_refused(data, tmp_path):
+    settings = TrainingSettings(batch=9)
+    with pytest.raises(UsageError, match=r"does not divide among the processes\n\s+expected: --batch: a multiple of 2"):
+        prepare(open_dataset(data), TrainRequest("mlp"), settings, processes=Processes(0, 2))
 
 
 def test_ctrl_c_saves_and_the_same_command_goes_on(data, tmp_path):
@@ -169,7 +203,7 @@ def test_fine_tuning_says_its_rate(trained, tmp_path):
 def test_data_without_a_hand_is_refused_in_one_message(tosses, tmp_path):
     done = run("train", "--data", tosses, "--model", "contact_diffusion", "--out", tmp_path / "run", "--steps", 2)
     assert done.code == 2
-    assert "the dataset lacks the channel joint_position" in done.err
+    assert "the dataset lacks the channel contact" in done.err
     assert not (tmp_path / "run").exists()
 
 

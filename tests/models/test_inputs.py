@@ -149,6 +149,9 @@ def test_data_without_clouds_need_a_model_without(normaliser):
     with pytest.raises(UsageError, match="set the model's `cloud` to `none`"):
         found.build(found.presets["small"], sizes, normaliser())
     assert found.build(found.parse({"cloud": "none"}), sizes, normaliser())
+    particle = model("particle")
+    with pytest.raises(UsageError, match="take a model that reads none"):
+        particle.build(particle.presets["small"], sizes, normaliser())
 
 
 #: A ball that a slide along x carries from the origin.

@@ -211,3 +211,20 @@ for use in (lambda: candata.models.model("mlp"), lambda: candata.models.integrat
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.count("torch is not installed") == 2
     assert 'pip install "candata[train]"' in found.stdout
+
+
+@pytest.mark.parametrize("name", ["mlp", "contact_diffusion"])
+def test_members_take_turns(name, tiny, batch, awake, generator):
+    windows, three = batch(4), awake(tiny(name, members=3))
+    drawn = three.forecast(windows, 5, 2, generator(0)).increments
+    assert drawn.shape[0] == 5
+    assert [bool((drawn[0] - drawn[k]).abs().max() > 1e-6) for k in (1, 2)] == [True, True]
+    single = [net.forecast(windows, 2, 2, generator(0)).increments for net in three.nets]
+    assert torch.equal(drawn[0], single[0][0])
+    loss = three.losses(windows, generator(0))["loss"]
+    loss.backward()
+    assert all(p.grad is not None for p in three.parameters())
+
+
+def test_one_member_is_the_net_itself(tiny):
+    assert type(tiny("mlp", members=1)) is type(tiny("mlp"))

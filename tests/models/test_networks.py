@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from candata.models._activations import Mish
+from candata.models._convolutions import Convolution, TransposedConvolution, as_image
 from candata.models._encoders import PointNet, TemporalEncoder
 from candata.models._unet import TimeEmbedding, UNet
 
@@ -82,3 +84,37 @@ def test_the_condition_is_the_sum_of_a_part_by_window_and_a_part_by_time(awake, 
 def test_times_are_told_apart():
     found = TimeEmbedding(16)(torch.arange(100.0))
     assert torch.pdist(found).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("kernel", "stride", "length"), [(5, 1, 7), (5, 1, 4), (5, 1, 2), (5, 1, 1), (3, 2, 7), (1, 1, 7)]
+)
+def test_a_convolution_and_its_gradient_are_torchs_of_the_same_weights(kernel, stride, length, generator):
+    net, x = Convolution(3, 8, kernel, stride), torch.randn(2, 3, length, generator=generator(0), requires_grad=True)
+    theirs = torch.nn.Conv1d(3, 8, kernel, stride, padding=kernel // 2)
+    theirs.load_state_dict(net.state_dict())
+    ours, expected = net(as_image(x)).squeeze(2), theirs(x)
+    torch.testing.assert_close(ours, expected, rtol=1e-5, atol=1e-6)
+    direction = torch.randn(expected.shape, generator=generator(1))
+    found, wanted = (
+        torch.autograd.grad(y, [x, *layer.parameters()], direction) for y, layer in ((ours, net), (expected, theirs))
+    )
+    for part, wanted_part in zip(found, wanted, strict=True):
+        torch.testing.assert_close(part, wanted_part, rtol=1e-5, atol=1e-5)
+
+
+def test_a_transposed_convolution_is_torchs_of_the_same_weights(generator):
+    net, x = TransposedConvolution(3, 4), torch.randn(2, 3, 5, generator=generator(0))
+    theirs = torch.nn.ConvTranspose1d(3, 4, 4, stride=2, padding=1)
+    theirs.load_state_dict(net.state_dict())
+    torch.testing.assert_close(net(as_image(x)).squeeze(2), theirs(x), rtol=1e-5, atol=1e-6)
+
+
+def test_mish_and_its_slope_are_torchs():
+    x = torch.linspace(-100, 100, 20_001, requires_grad=True)
+    exact_x = x.detach().double().requires_grad_()
+    value, exact = Mish()(x), torch.nn.functional.mish(exact_x)
+    slope, exact_slope = (torch.autograd.grad(y.sum(), at)[0] for y, at in ((value, x), (exact, exact_x)))
+    # A few roundings of float32, relative to the value itself: the far left tail keeps its digits.
+    torch.testing.assert_close(value.double(), exact, rtol=1e-6, atol=1e-30)
+    torch.testing.assert_close(slope.double(), exact_slope, rtol=1e-5, atol=1e-6)

@@ -17,6 +17,7 @@ from candata.errors import SetupError
 from candata.reports import evaluation as report
 from candata.reports.courses import COORDINATES, course
 from candata.reports.standing import standing
+from candata.schema.effect import EffectSetting
 from candata.training.results import (
     ClosedLoopScores,
     Contact,
@@ -116,6 +117,14 @@ def make_pairs(half_width: float | None = 0.01) -> tuple[Pair, ...]:
     return tuple(pairs)
 
 
+READS_SIMULATOR = facts(
+    "sim_residual",
+    horizon=12,
+    planned_actions=True,
+    simulator=SimulatorFacts(scene=None, effects=(EffectSetting(name="object_mass"),)),
+)
+
+
 def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) -> Evaluation:
     forecasters = {
         name: scores(text, SIZES[name], adds, contact, 12 if name == "second" else 16)
@@ -137,7 +146,7 @@ def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) 
         "samples": 16,
         "sampling_steps": 10,
         "seed": 0,
-        "models": {"first": facts("contact_diffusion"), "second": facts("mlp", horizon=12, planned_actions=True)},
+        "models": {"first": facts("contact_diffusion"), "second": READS_SIMULATOR},
         "simulators": {"simulator": SimulatorFacts(scene=None)},
         "forecasters": forecasters,
         "pairs": make_pairs() if adds else (),
@@ -250,7 +259,8 @@ def test_the_page_says_what_it_is():
         "24 rows are marked as missing",
         "past actions only",
         "no servo is modelled",
-        "the scene of each episode, run free",
+        "run free from the row at which the loop begins, the scene of each episode",
+        "past and planned actions; the simulator: the scene of each episode, effects: object_mass",
     ):
         assert words in text, words
     assert "By object" not in text  # there is one

@@ -48,11 +48,12 @@ def test_a_run_keeps_its_hand(tmp_path, dataset):
     request = TrainRequest(**{**PARTICLE.__dict__, "scene": scene(tmp_path)})
     job = prepare(data, request, SETTINGS)
     assert not job.notes
+    assert (job.run.preset, job.run.planned_actions) == ("small", True)
     assert job.run.config["hand"]["driven_joints"] == [0, 1]
     train(job, tmp_path / "run")
     (tmp_path / "scene.yaml").unlink()  # the run needs it no more
-    found, _ = evaluate(tmp_path / "run", data, EvaluationSettings(samples=1, steps=1))
-    assert found.forecasters["particle"].closed_loop.adds_auc is not None
+    found, _ = evaluate([tmp_path / "run"], data, EvaluationSettings(samples=1, steps=1))
+    assert found.forecasters["run"].closed_loop.adds_auc is not None
     assert jobs.build(job.run).config.hand is not None
 
 

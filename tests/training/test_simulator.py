@@ -97,6 +97,19 @@ def test_what_was_recorded_after_the_present_is_not_read_but_for_commands(nomina
     assert not np.allclose(recorded, forecast(rewritten(tmp_path / "commands", nominal, other_commands)), atol=1e-4)
 
 
+def test_a_free_run_moves_its_joints_as_they_were_recorded_in_its_own_world(nominal, changed):
+    def joint_error(folder):
+        course_all = course(gripper_windows(folder))
+        joints = simulator(course_all.windows, "gripper_tabletop").free_run(course_all).joints
+        begin, stride = course_all.windows.present_row, int(course_all.windows.stride[0])
+        steps = stride * np.arange(1, course_all.valid.shape[1] + 1)
+        rows = course_all.windows.cache.rows["joint_position"][begin[:, None] + steps]
+        return np.abs(joints - rows)[course_all.valid].mean()
+
+    # 80 ms late commands make the other world's joints late.
+    assert joint_error(nominal) < 0.2 * joint_error(changed)
+
+
 def test_a_window_is_forecast_alike_in_any_company(nominal):
     feed = gripper_windows(nominal)
     forecaster, numbers = simulator(feed, None), np.arange(len(feed))
