@@ -259,6 +259,13 @@ class _Planner:
             return column.scene or (None if sealed is None else sealed.scene)
         folders = {str(Path(name).parent) for name in sealed.objects}
         is_single = len(sealed.objects) == 1
+        if not is_single and len(folders) > 1:
+            raise UsageError(
+                f"the objects of {column.real} lie in {len(folders)} folders",
+                expected="folders of objects in one folder",
+                found=", ".join(sorted(folders)[:4]),
+                fix="put them, or links to them, in one folder",
+            )
         return f"{sealed.scene}{OBJECT_MARK}{sealed.objects[0] if is_single else folders.pop()}"
 
     def _diagnosed_scene(self, title: str, column: Column, diagnosed: str) -> str:
