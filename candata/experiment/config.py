@@ -279,6 +279,8 @@ def _with_paths(record: Any, folder: Path) -> Any:
     for name in FILES:
         if getattr(record, name, None) is not None:
             changes[name] = _beside(getattr(record, name), folder)
+            if not Path(changes[name]).is_file():
+                raise UsageError(f"the file of `{name}` is not there", where=Where(path=changes[name]))
     if len(record.objects) == 1 and record.objects[0].endswith((".yaml", ".yml")):
         changes["objects"] = listed_objects(Path(_beside(record.objects[0], folder)))
     else:

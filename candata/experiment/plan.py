@@ -12,6 +12,7 @@ from candata.datasets.registry import resolve
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.experiment.cells import Cell, content_digest
 from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
+from candata.experiment.sources import part_ids
 from candata.loaders.layout import row_shapes
 from candata.models import Model
 from candata.models import model as find_model
@@ -21,6 +22,8 @@ from candata.training.settings import FINE_TUNE_SHARE
 
 #: Said where a standing set lacks a channel that a model reads.
 NO_PUBLIC_SET = "no public set has poses, joints, commands and tip forces together"
+#: Ids that a message names.
+NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ class _Planner:
     def add_column(self, title: str, column: Column) -> None:
         """Add the cells and entries of a column."""
         self._check_channels(title, column)
+        self._check_unseen(title, column)
         test = self.part(column.real, "test")
         for count in self.file.counts:
             for entry, run in self._runs(title, column, count):
@@ -296,7 +300,9 @@ class _Planner:
         return open_dataset(folder, version)
 
     def _check_channels(self, title: str, column: Column) -> None:
-        """Refuse a standing real set that lacks a channel that a model of the table reads."""
+        """Refuse models that cannot be configured, and a standing real set that lacks a channel that one reads."""
+        for name, entry in self.file.models.items():
+            configured(find_model(entry.model or name), entry, 0)
         if self.file.data[column.real].path is None:
             return
         present = set(row_shapes(self._standing(column.real), None))
@@ -310,6 +316,36 @@ class _Planner:
                     where=Where(path=str(self.file.data[column.real].path)),
                     fix=f"leave {name} out of this experiment, or record the channel",
                 )
+
+    def _check_unseen(self, title: str, column: Column) -> None:
+        """Refuse standing sets whose training episodes are test episodes of the column, by their content."""
+        if self.file.data[column.real].path is None:
+            return
+        test = self._content(column.real, self.file.data[column.real].split, "test")
+        # Pre-training is by the default split, whatever the split of a real part.
+        splits = {column.sim: None, column.larger: None}
+        if column.diagnosed is not None:
+            splits[column.diagnosed] = self.file.data[column.diagnosed].split
+        for name, split in splits.items():
+            if name is None or self.file.data[name].path is None:
+                continue
+            seen = sorted(test[content] for content in test.keys() & self._content(name, split, "train-all").keys())
+            if seen:
+                raise UsageError(
+                    f"column {title}: {name} would train or repair on test episodes of {column.real}",
+                    expected="no test episode among those that are trained on or diagnosed",
+                    found=f"{len(seen)} seen: {', '.join(seen[:NAMED_IDS])}{' and more' * (len(seen) > NAMED_IDS)}",
+                    where=Where(path=str(self.file.data[name].path)),
+                    fix="hold the same episodes out of both, by one stored split",
+                )
+
+    def _content(self, source_name: str, split: str | None, part: str) -> dict[str, str]:
+        """Return the ids of a part of a standing set by the hash of what the episode holds."""
+        dataset = self._standing(source_name)
+        catalog = dataset.catalog(["id", "content_hash"])
+        hashes = dict(zip(catalog["id"].to_pylist(), catalog["content_hash"].to_pylist(), strict=True))
+        ids = part_ids(dataset, {"part": part, "split": split})
+        return {hashes[name]: name for name in ids}
 
 
 def reads(entry: ModelEntry, name: str) -> tuple[str, ...]:

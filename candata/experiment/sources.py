@@ -232,7 +232,7 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: 
         When there are fewer training episodes than are asked for, or none are left.
     """
     if not (root / DATASET).exists():
-        ids, details = _part_ids(dataset, settings), {"part": settings["part"]}
+        ids, details = part_ids(dataset, settings), {"part": settings["part"]}
         if cloud_of is None:
             chosen_dataset(dataset, ids, root, details)
         else:
@@ -252,8 +252,14 @@ def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: 
         append(draft, copies, derived_lineage("filter", [dataset], details))
 
 
-def _part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:
-    """Return the ids of a part, training episodes in the order of their ids."""
+def part_ids(dataset: Dataset, settings: dict[str, Any]) -> Sequence[str]:
+    """Return the ids of a part (`settings` as of `make_part`), training episodes in the order of their ids.
+
+    Raises
+    ------
+    DataError
+        When there are fewer training episodes than are asked for.
+    """
     if "train" in settings:
         ids = sorted(dataset.ids)
         train, test = ids[: settings["train"]], ids[settings["train"] :]

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError
 from candata.experiment import plan_cells, read_experiment
 from candata.experiment.cells import digests
+from candata.loaders import make_split, save_split
 from tests.experiment.conftest import TINY
 
 SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
+MADE = {"sim": {"generate": {"scene": "cube_toss", "episodes": 20}}, "real": {"sealed": SEALED | {"outside": "wind"}}}
 
 
 @pytest.mark.parametrize(
@@ -29,6 +32,9 @@ SEALED = {"scene": "cube_toss", "train": 100, "test": 200}
         ({"without_contact": "unet2"}, "unknown model of the experiment 'unet2'"),
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED}}}, "expected one of hidden, outside"),
         ({"data": {"sim": {"path": "sim"}, "real": {"sealed": SEALED | {"outside": "wnd"}}}}, "unknown outside cause"),
+        ({"data": MADE, "models": {"mlp": {"config": {"widht": 3}}}}, "did you mean `width`"),
+        ({"data": MADE, "models": {"mlp": {"preset": "smal"}}}, "unknown preset 'smal'"),
+        ({"data": MADE | {"real": {"sealed": SEALED | {"hidden": "no.yaml"}}}}, "the file of `hidden` is not there"),
         ({"data": {"sim": {"path": "sim"}, "real": {"path": "real", "recipe": "a.yaml"}}}, "expected one of path"),
     ],
 )
@@ -66,6 +72,7 @@ def test_more_real_episodes_than_a_world_has_are_refused(experiment_file):
 
 def test_a_recipe_is_read_with_its_paths_seen_from_its_own_folder(experiment_file, tmp_path):
     (tmp_path / "recipes").mkdir()
+    (tmp_path / "recipes" / "r.yaml").write_text("effects: []\n")
     (tmp_path / "recipes" / "set.yaml").write_text("scene: cube_toss\nepisodes: 20\nrandomise: r.yaml\n")
     data = {"sim": {"recipe": "recipes/set.yaml"}, "real": {"path": "real"}}
     generation = read_experiment(experiment_file(data=data)).data["sim"].generate
@@ -82,6 +89,21 @@ def test_a_set_that_is_not_there_and_a_channel_that_no_public_set_has_are_refuse
     touching = {"contact_diffusion": {"config": {"fingertip_contact": True}}}
     with pytest.raises(DataError, match="no public set has poses, joints, commands and tip forces together"):
         plan_cells(read_experiment(experiment_file(models=touching)))
+
+
+def test_test_episodes_that_a_model_or_a_repair_would_see_are_refused_with_their_ids(experiment_file, tmp_path):
+    path = experiment_file()
+    dataset = open_dataset(tmp_path / "real")
+    split = make_split(dataset)
+    swapped = split.model_copy(update={"train": (*split.train[1:], *split.test), "test": split.train[:1]})
+    save_split(dataset, swapped, "swapped")
+    data = {"sim": {"path": "sim"}, "twin": {"path": "real"}, "real": {"path": "real", "split": "swapped"}}
+    for column in ({"sim": "twin"}, {"sim": "sim", "larger": "twin"}, {"sim": "sim", "diagnosed": "twin"}):
+        experiment_file(data=data, columns={"single": column | {"real": "real"}})
+        with pytest.raises(UsageError, match=f"1 seen: {split.train[0]}"):
+            plan_cells(read_experiment(path))
+    experiment_file(data=data | {"real": {"path": "real"}}, columns={"single": {"sim": "twin", "real": "real"}})
+    plan_cells(read_experiment(path))  # by one split, nothing that is tested on is trained on
 
 
 def test_only_what_comes_of_a_change_has_another_digest(experiment_file):

@@ -74,6 +74,16 @@ def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
     assert table_of(path, tmp_path / "out") == first
 
 
+def test_a_set_under_another_name_is_the_same_cell(experiment_file, tmp_path):
+    first = table_of(experiment_file(regimes=["sim"]), tmp_path / "out")
+    data = {name: {"path": path} for name, path in {"simulation": "sim", "twin": "sim", "real": "real"}.items()}
+    columns = {"single": {"sim": "simulation", "real": "real"}, "again": {"sim": "twin", "real": "real"}}
+    table = table_of(experiment_file(regimes=["sim"], data=data, columns=columns), tmp_path / "out")
+    assert not table.failed
+    values = {(row.column, row.label): row.adds_auc for row in table.rows}
+    assert values["single", "mlp, sim"] == values["again", "mlp, sim"] == first.rows[1].adds_auc
+
+
 def test_real_episodes_are_counted_and_no_test_episode_is_trained_on(experiment_file, tmp_path):
     path = experiment_file(regimes=["real"], real_counts=[0, 3])
     table = table_of(path, tmp_path / "out")
