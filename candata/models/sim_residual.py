@@ -6,15 +6,15 @@ The last layer begins at zero, so an untrained network is the simulator.
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from candata.errors import DataError
 from candata.loaders import Normaliser
 from candata.models._config import UNET_PRESETS, UnetConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._inputs import masked_mean
+from candata.models._members import with_members
 from candata.models._poses import increments
-from candata.models._seed import with_seed
 from candata.models.unet import Unet
 
 #: Features of a step that the simulator gives: its increment, and whether the hand touches.
@@ -65,10 +65,10 @@ class SimResidual(Unet):
         return self.outputs(batch, (self._normalised(simulated), contact))
 
 
-def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> SimResidual:
+def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: SimResidual(config, sizes, normaliser))
+    return with_members(config, lambda: SimResidual(config, sizes, normaliser))
 
 
 MODEL = Model(
