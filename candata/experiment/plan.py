@@ -7,23 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from candata.datasets import Dataset, open_dataset
-from candata.datasets.registry import resolve
-from candata.errors import DataError, UnknownNameError, UsageError, Where
+from candata.datasets import Dataset
+from candata.errors import UnknownNameError, UsageError
+from candata.experiment import standing
 from candata.experiment.cells import Cell, content_digest
 from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
-from candata.experiment.sources import part_ids
-from candata.loaders.layout import row_shapes
-from candata.models import Model
 from candata.models import model as find_model
 from candata.scenes.assemble import OBJECT_MARK
-from candata.training.jobs import OF_THE_ROBOT
 from candata.training.settings import FINE_TUNE_SHARE
-
-#: Said where a standing set lacks a channel that a model reads.
-NO_PUBLIC_SET = "no public set has poses, joints, commands and tip forces together"
-#: Ids that a message names.
-NAMED_IDS = 5
 
 
 @dataclass(frozen=True)
@@ -130,8 +121,8 @@ class _Planner:
 
     def add_column(self, title: str, column: Column) -> None:
         """Add the cells and entries of a column."""
-        self._check_channels(title, column)
-        self._check_unseen(title, column)
+        standing.check_channels(self.file, title, column)
+        standing.check_unseen(self.file, title, column)
         test = self.part(column.real, "test")
         for count in self.file.counts:
             for entry, run in self._runs(title, column, count):
@@ -228,7 +219,7 @@ class _Planner:
                 raise UsageError(
                     f"{source_name} stands and cannot be simulated with the repair", expected="recipe or generate"
                 )
-            return self.add(_standing_cell(source_name, self._standing(source_name)))
+            return self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
         if effects is None:
             return self.add(_generation_cell(f"data/{source_name}", generation))
         cell = _generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
@@ -241,7 +232,7 @@ class _Planner:
             whole = self.add(_sealed_cell(source_name, source.sealed))
             settings: dict[str, Any] = {"part": word, "train": source.sealed.train}
         else:
-            whole = self.add(_standing_cell(source_name, self._standing(source_name)))
+            whole = self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
             cloud = {} if source.cloud_of is None else {"cloud_of": _scene_settings(source.cloud_of)}
             settings = {"part": word, "split": source.split, **cloud}
         name = f"part/{source_name}/{word}"
@@ -285,86 +276,6 @@ class _Planner:
                 fix="name recordings of one object with `diagnosed`, of the same `world`",
             )
         return str(self._scene(Column(real=diagnosed)))
-
-    def _standing(self, source_name: str) -> Dataset:
-        """Return a set that stands."""
-        path = str(self.file.data[source_name].path)
-        if not Path(path).exists() and not Path(path).name.startswith("@"):
-            raise DataError(
-                f"the set {source_name} is not there",
-                expected="a dataset",
-                where=Where(path=path),
-                fix="candata fetch gets public sets; see candata fetch --help",
-            )
-        folder, version = resolve(path)
-        return open_dataset(folder, version)
-
-    def _check_channels(self, title: str, column: Column) -> None:
-        """Refuse models that cannot be configured, and a standing real set that lacks a channel that one reads."""
-        for name, entry in self.file.models.items():
-            configured(find_model(entry.model or name), entry, 0)
-        if self.file.data[column.real].path is None:
-            return
-        present = set(row_shapes(self._standing(column.real), None))
-        for name, entry in self.file.models.items():
-            missing = [c for c in reads(entry, name) if c not in present and c not in OF_THE_ROBOT]
-            if missing:
-                raise DataError(
-                    f"column {title}: {column.real} lacks {', '.join(missing)}, which {name} reads",
-                    expected=", ".join(reads(entry, name)),
-                    found=f"{', '.join(sorted(present))}; {NO_PUBLIC_SET}",
-                    where=Where(path=str(self.file.data[column.real].path)),
-                    fix=f"leave {name} out of this experiment, or record the channel",
-                )
-
-    def _check_unseen(self, title: str, column: Column) -> None:
-        """Refuse standing sets whose training episodes are test episodes of the column, by their content."""
-        if self.file.data[column.real].path is None:
-            return
-        test = self._content(column.real, self.file.data[column.real].split, "test")
-        # Pre-training is by the default split, whatever the split of a real part.
-        splits = {column.sim: None, column.larger: None}
-        if column.diagnosed is not None:
-            splits[column.diagnosed] = self.file.data[column.diagnosed].split
-        for name, split in splits.items():
-            if name is None or self.file.data[name].path is None:
-                continue
-            seen = sorted(test[content] for content in test.keys() & self._content(name, split, "train-all").keys())
-            if seen:
-                raise UsageError(
-                    f"column {title}: {name} would train or repair on test episodes of {column.real}",
-                    expected="no test episode among those that are trained on or diagnosed",
-                    found=f"{len(seen)} seen: {', '.join(seen[:NAMED_IDS])}{' and more' * (len(seen) > NAMED_IDS)}",
-                    where=Where(path=str(self.file.data[name].path)),
-                    fix="hold the same episodes out of both, by one stored split",
-                )
-
-    def _content(self, source_name: str, split: str | None, part: str) -> dict[str, str]:
-        """Return the ids of a part of a standing set by the hash of what the episode holds."""
-        dataset = self._standing(source_name)
-        catalog = dataset.catalog(["id", "content_hash"])
-        hashes = dict(zip(catalog["id"].to_pylist(), catalog["content_hash"].to_pylist(), strict=True))
-        ids = part_ids(dataset, {"part": part, "split": split})
-        return {hashes[name]: name for name in ids}
-
-
-def reads(entry: ModelEntry, name: str) -> tuple[str, ...]:
-    """Return the channels that a model of an experiment reads."""
-    model = find_model(entry.model or name)
-    return model.reads(configured(model, entry, 0))
-
-
-def configured(model: Model, entry: ModelEntry, seed: int) -> Any:
-    """Return the configuration of a model of an experiment.
-
-    Raises
-    ------
-    UnknownNameError
-        When it has no such preset.
-    """
-    if entry.preset not in model.presets:
-        raise UnknownNameError("preset", entry.preset, model.presets)
-    return model.parse(model.presets[entry.preset].model_dump() | {"seed": seed} | entry.config)
 
 
 def _needs_simulator(model_name: str) -> bool:

@@ -9,7 +9,6 @@ from candata.effects import read_randomisation
 from candata.experiment import plan_cells, read_experiment, run_experiment
 from candata.experiment.config import Generation, SealedWorld
 from candata.experiment.sources import make_sealed, opened_effects, set_options
-from candata.loaders import make_split, save_split
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import read_seal
@@ -55,15 +54,6 @@ def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_
     assert "no episode is long enough" in rows["short", "mlp, sim"].failed
     failed_name = "evaluation/short/mlp/nominal/sim/train-all/seed-0"
     assert set(table.failed) == {failed_name, "evaluation/short/rows/train-all"}
-
-
-def test_test_episodes_that_were_trained_on_are_refused(experiment_file, tmp_path):
-    real = open_dataset(tmp_path / "real")
-    save_split(real, make_split(real, seed=3), "other")
-    assert set(make_split(real, seed=3).test) <= set(make_split(real).train)
-    same = {"real": {"path": "real", "split": "other"}, "sim": {"path": "real"}}
-    table = table_of(experiment_file(data=same, regimes=["sim"], rows=[]), tmp_path / "out")
-    assert "test episodes were trained on" in table.rows[0].failed
 
 
 def test_a_damaged_cell_is_made_again(experiment_file, tmp_path):
