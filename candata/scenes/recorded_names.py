@@ -28,9 +28,7 @@ def builtin_scene(name: str | None, where: Where) -> str:
     if name in SCENES or (base in SCENES and object_name in OBJECTS):
         return name
     scene_name = base if base in SCENES else "scene.yaml"
-    fix = (
-        f"--scene {scene_name}{mark}FOLDER, with the folder of the object, or of all objects' folders"
-        if mark
-        else f"--scene {scene_name}"
+    folder = f"{mark}FOLDER, with the folder of the object, or of all objects' folders" if mark else ""
+    raise UsageError(
+        f"the recordings' scene {name} is not built in", where=where, fix=f"give it: --scene {scene_name}{folder}"
     )
-    raise UsageError(f"the recordings' scene {name} is not built in", where=where, fix=f"give it: {fix}")
