@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
 from candata.loaders import Windows, make_split, save_split, windows
+from candata.models import model as find_model
 from candata.simulate.generate import generate
 from candata.statistics import resamples
 from candata.training import checkpoint, feed, jobs, metrics
@@ -36,6 +37,7 @@ LINES: dict[str, dict[str, Any]] = {
     "without planned actions": {"planned_actions": False},
     "without the world position": {"world_position": False},
     "without fingertip points": {"fingertip_points": False},
+    "with fingertip points": {"fingertip_points": True},
     "with contact of hand and fingertips": {"contact_history": True, "fingertip_contact": True},
 }
 SPLIT, TRAIN_SHARE, RESAMPLES, EXECUTE, SAMPLES, SAMPLING_STEPS = "ablations", 2 / 3, 4000, 8, 4, 4
@@ -111,7 +113,10 @@ def report(study: Ablation, seeds: Sequence[int]) -> None:
     preset = [study.accuracy(net) for net in nets]
     auc = 100 * np.mean(preset, axis=0).sum() / counts.sum()
     print(f"{study.model} small, {study.steps} steps: {auc:.2f} % on {len(counts)} episodes, {len(seeds)} seeds")
+    small = find_model(study.model).presets["small"].model_dump()
     for name, fields in LINES.items():
+        if all(small[key] == value for key, value in fields.items()):
+            continue  # the preset says so already
         changed = [study.accuracy(study.net(fields, seed)) for seed in seeds]
         line(name, [after - before for after, before in zip(changed, preset, strict=True)], counts)
     if len(nets) > 1:

@@ -98,7 +98,8 @@ def evaluate(
     set_threads(threads)
     effects_file = _effects(effects)
     others: dict[str, Any] = {"baselines": baselines, "simulator": simulator, "joints": joints, "threads": threads or 1}
-    others |= {"history": history, "horizon": horizon, "rate_hz": rate_hz}
+    shape = {"history": history, "horizon": horizon, "rate_hz": rate_hz}
+    others["shape"] = {name: value for name, value in shape.items() if value is not None} or None
     repair = effects_file.effects if effects_file else None
     with console.stages() as stage:
         dataset = console.open_named(str(data), version)

@@ -152,7 +152,7 @@ def _rows_tried(cell: Cell, trials: _Trials, folder: Path) -> float:
         simulator="scene" in cell.places,
         scene=cell.places.get("scene"),
         effects=() if "effects" in cell.inputs and "scene" in cell.places else None,
-        **cell.settings["windows"],
+        shape=cell.settings["windows"],
     )
     begin_s = time.perf_counter()
     evaluation, _ = evaluate([], _trial_set(trials, folder), settings)

@@ -9,9 +9,9 @@ from typing import Any
 
 from candata.datasets import Dataset
 from candata.errors import UnknownNameError, UsageError
+from candata.experiment import standing
 from candata.experiment.cells import Cell, content_digest
 from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
-from candata.experiment.refusals import check_channels, check_unseen, standing_set
 from candata.models import model as find_model
 from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
@@ -143,8 +143,8 @@ class _Planner:
 
     def add_column(self, title: str, column: Column) -> None:
         """Add the cells and entries of a column."""
-        check_channels(self.file, title, column)
-        check_unseen(self.file, title, column)
+        standing.check_channels(self.file, title, column)
+        standing.check_unseen(self.file, title, column)
         test = self.part(column.real, "test")
         for count in self.file.counts:
             for entry, run in self._runs(title, column, count):
@@ -269,7 +269,7 @@ class _Planner:
                 raise UsageError(
                     f"{source_name} stands and cannot be simulated with the repair", expected="recipe or generate"
                 )
-            return self.add(_standing_cell(source_name, standing_set(self.file, source_name)))
+            return self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
         if effects is None:
             return self.add(self._generation_cell(f"data/{source_name}", generation))
         cell = self._generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
@@ -282,7 +282,7 @@ class _Planner:
             whole = self.add(self._sealed_cell(source_name, source.sealed))
             settings: dict[str, Any] = {"part": word, "train": source.sealed.train}
         else:
-            whole = self.add(_standing_cell(source_name, standing_set(self.file, source_name)))
+            whole = self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
             cloud = {} if source.cloud_of is None else {"cloud_of": self._scene_settings(source.cloud_of)}
             settings = {"part": word, "split": source.split, **cloud}
         name = f"part/{source_name}/{word}"
@@ -304,6 +304,13 @@ class _Planner:
             return column.scene or (None if sealed is None else sealed.scene)
         folders = {str(Path(name).parent) for name in sealed.objects}
         is_single = len(sealed.objects) == 1
+        if not is_single and len(folders) > 1:
+            raise UsageError(
+                f"the objects of {column.real} lie in {len(folders)} folders",
+                expected="folders of objects in one folder",
+                found=", ".join(sorted(folders)[:4]),
+                fix="put them, or links to them, in one folder",
+            )
         return f"{sealed.scene}{OBJECT_MARK}{sealed.objects[0] if is_single else folders.pop()}"
 
     def _diagnosed_scene(self, title: str, column: Column, diagnosed: str) -> str:

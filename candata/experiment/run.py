@@ -57,9 +57,10 @@ class _Run:
         """Return what became of cells that need nothing of one another."""
         inputs = {c.name: {role: self.folders[n] for role, n in c.inputs.items()} for c in batch}
         if batch[0].kind in _ALONE:
-            # What stands may have been made under another name.
-            made = [(cell, make_set(cell, names[cell.name], inputs[cell.name], self.bench)) for cell in batch]
-            return [replace_name(result, cell.name) for cell, result in made]
+            return [
+                replace_name(make_set(cell, names[cell.name], inputs[cell.name], self.bench), cell.name)
+                for cell in batch
+            ]
         results: list[CellRecord | Failure] = []
         missing = []
         for cell in batch:

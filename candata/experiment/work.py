@@ -266,7 +266,7 @@ def _make_evaluation(cell: Cell, folder: Path, inputs: Mapping[str, Path], threa
         scene=cell.places.get("scene") if has_simulators else None,
         effects=effects,
         threads=threads,
-        **(cell.settings.get("windows") or {}),
+        shape=cell.settings.get("windows"),
         **{name: cell.settings[name] for name in ("samples", "steps", "execute", "seed")},
     )
     paths = [inputs["run"] / RUN] if "run" in inputs else []

@@ -46,7 +46,7 @@ class HistoryConfig(Record):
     world_position: bool = True
     contact_history: bool = False
     fingertip_contact: bool = False
-    fingertip_points: bool = True
+    fingertip_points: bool = False
     hand: HandKinematics | None = None
 
     @property
@@ -58,6 +58,7 @@ class HistoryConfig(Record):
 class MlpConfig(HistoryConfig):
     """Configuration of `mlp`: width and number of hidden layers."""
 
+    fingertip_points: bool = True
     width: int = Field(default=512, ge=1)
     layers: int = Field(default=3, ge=1)
 
@@ -216,7 +217,7 @@ class ContactConfig(DiffusionConfig):
 
 
 #: Fields of `unet` that differ from the defaults, by preset. `small` trains usefully in minutes on two cores; `paper`
-#: reads only past actions, no fingertips, and turns the cloud with the pose, as arXiv 2601.12796 says.
+#: reads only past actions and turns the cloud with the pose, as arXiv 2601.12796 says.
 UNET_PRESETS: Mapping[str, Mapping[str, Any]] = {
     "small": {
         "latent": 128,
@@ -226,7 +227,7 @@ UNET_PRESETS: Mapping[str, Mapping[str, Any]] = {
         "widths": (32, 64, 128),
     },
     "base": {},
-    "paper": {"widths": (256, 512, 1024), "planned_actions": False, "fingertip_points": False, "cloud": "world"},
+    "paper": {"widths": (256, 512, 1024), "planned_actions": False, "cloud": "world"},
 }
 #: The same for the models that denoise; `paper` forecasts the noise, as arXiv 2601.12796 says.
 DIFFUSION_PRESETS: Mapping[str, Mapping[str, Any]] = {

@@ -20,7 +20,14 @@ class DiffusionUNet(nn.Module):
 
     alpha_bars: Tensor
 
-    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser, extra_features: int = 0) -> None:
+    def __init__(
+        self,
+        config: DiffusionConfig,
+        sizes: Sizes,
+        normaliser: Normaliser,
+        extra_features: int = 0,
+        step_features: int = 0,
+    ) -> None:
         super().__init__()
         self.config, self.sizes = config, sizes
         self.process = Process(tuple(cosine_alpha_bars(config.train_steps)), config.target, config.sampler)
@@ -29,7 +36,7 @@ class DiffusionUNet(nn.Module):
         self.reader = Reader(config, sizes, normaliser)
         self.encoder = HistoryEncoder(config, sizes, self.reader)
         self.unet = UNet(
-            6 + self.reader.plan_size,
+            6 + self.reader.plan_size + step_features,
             6,
             config.latent + extra_features,
             config.time_features,
@@ -49,9 +56,13 @@ class DiffusionUNet(nn.Module):
         inputs = self.reader(batch)
         return Forecast(self.sample(inputs, self.encoder(batch, inputs), samples, steps, generator), None)
 
+    def target(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return what is denoised `(B, H, 6)`, normalised, and where it is known `(B, H)`."""
+        return self.reader.target(batch)
+
     def diffusion_loss(self, batch: Batch, inputs: Inputs, condition: Tensor, generator: torch.Generator) -> Tensor:
         """Return the mean squared error of the denoiser at one random time a window."""
-        value, is_known = self.reader.target(batch)
+        value, is_known = self.target(batch)
         value = value / self.unit
         time = integers(self.config.train_steps, len(value), value, generator)
         level = self.alpha_bars[time][:, None, None]

@@ -1,46 +1,59 @@
-"""`sim_residual`: what the simulator forecasts, corrected: the network's output is added to the simulator's increments.
+"""`sim_residual`: what the simulator forecasts, corrected: what the network denoises is added to its increments.
 
-The last layer begins at zero, so an untrained network is the simulator.
+The network gives the clean correction and its last layer begins at zero, so an untrained network is the simulator.
 """
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from candata.errors import DataError
+from candata.errors import DataError, UsageError
 from candata.loaders import Normaliser
-from candata.models._config import UNET_PRESETS, UnetConfig, check_sizes, parser
+from candata.models._config import DIFFUSION_PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
-from candata.models._inputs import masked_mean
+from candata.models._inputs import Inputs
+from candata.models._members import with_members
 from candata.models._poses import increments
-from candata.models._seed import with_seed
-from candata.models.unet import Unet
+from candata.models.diffusion_unet import DiffusionUNet
 
 #: Features of a step that the simulator gives: its increment, and whether the hand touches.
 SIMULATED_FEATURES = 6 + 1
 
 
-class SimResidual(Unet):
-    """The U-Net over the horizon, which also reads the simulator's forecast and corrects it; all samples are equal."""
+class SimResidual(DiffusionUNet):
+    """Denoises what the simulator's increments lack, under the history, the plan and the simulator's forecast."""
 
-    def __init__(self, config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> None:
-        super().__init__(config, sizes, normaliser, SIMULATED_FEATURES)
+    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> None:
+        super().__init__(config, sizes, normaliser, step_features=SIMULATED_FEATURES)
 
     def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
-        """Return `loss`, the mean squared error of the normalised increments over the steps that are known."""
-        value, is_known = self.reader.target(batch)
-        simulated = self._simulated(batch)
-        error = self._normalised(simulated) + self._correction(batch, simulated) - value
-        return {"loss": masked_mean(error.square().mean(-1), is_known)}
+        """Return `loss`, the mean squared error of the denoised correction over the steps that are known."""
+        inputs = self.reader(batch)
+        condition = self.encoder(batch, inputs)
+        return {"loss": self.diffusion_loss(batch, self._with_simulated(batch, inputs), condition, generator)}
 
     @torch.no_grad()
     def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
-        """Return the one forecast, `samples` times, and the simulator's contact."""
-        simulated = self._simulated(batch)
-        corrected = simulated + self.reader.increment_scale * self._correction(batch, simulated)
-        contact = batch["simulated/contact"].to(corrected.dtype)
-        return Forecast(corrected.expand(samples, *corrected.shape), contact)
+        """Return `samples` forecasts, each by `steps` sampling steps, and the simulator's contact."""
+        inputs = self.reader(batch)
+        condition = self.encoder(batch, inputs)
+        sampled = self.sample(self._with_simulated(batch, inputs), condition, samples, steps, generator)
+        # A sample of zero stands for the centre of the increments; a correction of zero is none.
+        corrected = self._simulated(batch) + (sampled - self.reader.increment_centre)
+        return Forecast(corrected, batch["simulated/contact"].to(corrected.dtype))
+
+    def target(self, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return what the simulator's increments lack `(B, H, 6)`, over their scale, and where it is known."""
+        value, is_known = super().target(batch)
+        lacking = value - self._normalised(self._simulated(batch))
+        return torch.where(is_known[..., None], lacking, torch.zeros_like(lacking)), is_known
+
+    def _with_simulated(self, batch: Batch, inputs: Inputs) -> Inputs:
+        """Return the inputs with the simulator's forecast beside the plan."""
+        simulated = self._normalised(self._simulated(batch))
+        contact = 2 * batch["simulated/contact"].to(simulated.dtype)[..., None] - 1
+        return inputs._replace(plan=torch.cat([inputs.plan, simulated, contact], dim=-1))
 
     def _simulated(self, batch: Batch) -> Tensor:
         """Return the simulator's increments `(B, H, 6)` [m, rad], the first one from the observed present pose."""
@@ -59,23 +72,25 @@ class SimResidual(Unet):
         """Return increments `(B, H, 6)` less their centre, over their scale."""
         return (steps - self.reader.increment_centre) / self.reader.increment_scale
 
-    def _correction(self, batch: Batch, simulated: Tensor) -> Tensor:
-        """Return what is added to the simulator's increments `(B, H, 6)`, over their scale; zero before training."""
-        contact = 2 * batch["simulated/contact"].to(simulated.dtype)[..., None] - 1
-        return self.outputs(batch, (self._normalised(simulated), contact))
 
-
-def _build(config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> SimResidual:
+def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> nn.Module:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return with_seed(config.seed, lambda: SimResidual(config, sizes, normaliser))
+    if config.target != "x0":
+        raise UsageError(
+            "sim_residual denoises its correction itself",
+            expected="target: x0",
+            found=f"target: {config.target}",
+            fix="leave `target` out: an untrained net would not be the simulator",
+        )
+    return with_members(config, lambda: SimResidual(config, sizes, normaliser))
 
 
 MODEL = Model(
     "corrects the simulator's forecast: untrained, it is the simulator",
     ("object_pose", "joint_position", "action"),
-    {name: UnetConfig(**values) for name, values in UNET_PRESETS.items()},
-    parser(UnetConfig),
+    {name: DiffusionConfig(**{**values, "target": "x0"}) for name, values in DIFFUSION_PRESETS.items()},
+    parser(DiffusionConfig),
     _build,
     {"contact_history": "contact", "fingertip_contact": "fingertip_contact"},
     needs_simulator=True,

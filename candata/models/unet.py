@@ -22,11 +22,11 @@ class Unet(nn.Module):
 
     places: Tensor
 
-    def __init__(self, config: UnetConfig, sizes: Sizes, normaliser: Normaliser, step_features: int = 0) -> None:
+    def __init__(self, config: UnetConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__()
         self.reader = Reader(config, sizes, normaliser)
         self.encoder = HistoryEncoder(config, sizes, self.reader)
-        inputs = 1 + self.reader.plan_size + step_features
+        inputs = 1 + self.reader.plan_size
         self.unet = UNet(inputs, 6, config.latent, 0, config.widths, config.kernel, config.groups)
         # Without a plan the sequence still says which step is which.
         self.register_buffer("places", torch.linspace(-1, 1, sizes.horizon), persistent=False)
@@ -44,15 +44,10 @@ class Unet(nn.Module):
 
     def _normalised_increments(self, batch: Batch) -> Tensor:
         """Return normalised increments `(B, H, 6)`."""
-        return self.outputs(batch)
-
-    def outputs(self, batch: Batch, step_features: tuple[Tensor, ...] = ()) -> Tensor:
-        """Return what the network gives `(B, H, 6)`, also of further features `(B, H, C)` of each step."""
         inputs = self.reader(batch)
         film = self.unet.window_film(self.encoder(batch, inputs))
         places = self.places.expand(len(film), 1, -1)
-        steps = [places, *(features.transpose(1, 2) for features in (inputs.plan, *step_features))]
-        increments: Tensor = self.unet(torch.cat(steps, dim=1), film)
+        increments: Tensor = self.unet(torch.cat([places, inputs.plan.transpose(1, 2)], dim=1), film)
         return increments.transpose(1, 2)
 
 

@@ -21,8 +21,8 @@ from candata.reports.posed import ScenePoser, poser
 from candata.reports.render import RenderedFrames, render_frames
 from candata.reports.traces import masked
 from candata.scenes import Scene, load_scene
-from candata.scenes.assemble import OBJECT_MARK, subtree
-from candata.scenes.contract import OBJECTS, SCENES
+from candata.scenes.assemble import subtree
+from candata.scenes.recorded_names import builtin_scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ def footage(
         or the ghost's episode has no object pose.
     """
     episode = dataset.episode(episode_id)
-    name = scene or _builtin_scene(episode)
+    name = scene or builtin_scene(episode.meta.scene, Where(episode=episode.meta.id))
     scene_poser = poser(load_scene(name), episode)
     _refuse_unposed(scene_poser, episode, name)
     rows = _rows(scene_poser, episode, moments)
@@ -172,20 +172,6 @@ def pictures(shown: Footage, width: int, height: int, camera: str | None = None)
             )
             draw_text(frame, f"{shown.time_s[row]:.2f} s")
         yield RenderedFrames(frames, rendered.library)
-
-
-def _builtin_scene(episode: Episode) -> str:
-    """Return the name of the episode's scene; files that a dataset names are never opened."""
-    meta = episode.meta
-    where = Where(episode=meta.id)
-    if not meta.scene:
-        raise UsageError("the episode names no scene", where=where, fix="give it: --scene NAME or scene.yaml")
-    base, mark, object_name = meta.scene.rpartition(OBJECT_MARK)
-    if meta.scene in SCENES or (base in SCENES and object_name in OBJECTS):
-        return meta.scene
-    scene_name = base if base in SCENES else "scene.yaml"
-    fix = f"--scene {scene_name}{mark}FOLDER, with the folder of the object" if mark else f"--scene {scene_name}"
-    raise UsageError(f"the episode's scene {meta.scene} is not built in", where=where, fix=f"give it: {fix}")
 
 
 def _refuse_unposed(scene_poser: ScenePoser, episode: Episode, name: str) -> None:

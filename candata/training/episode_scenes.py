@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.errors import DataError, RateError, UnknownNameError, UsageError, Where
+from candata.errors import DataError, RateError, Where
 from candata.loaders import Windows
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.object_folder import OBJECT_FILE, named_object
+from candata.scenes.recorded_names import builtin_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json
 from candata.simulate import with_effects
@@ -54,7 +55,7 @@ def episode_scenes(
         What is to be simulated.
     scene : str or None
         What `load_scene` takes; `SCENE+FOLDER` with a folder of object folders puts each episode's own object there.
-        None takes the scene that each episode names.
+        None takes the built-in scene that each episode names.
     effects : tuple of EffectSetting
         Effects added to every scene.
 
@@ -73,7 +74,7 @@ def episode_scenes(
     facts = {episode: parse_json(texts[episode]) for episode in used}
     names = {episode: _scene_name(windows, episode, facts[episode], scene) for episode in used}
     distinct = list(dict.fromkeys(names.values()))
-    scenes = {name: _load(name, next(fact for e, fact in facts.items() if names[e] == name)) for name in distinct}
+    scenes = {name: load_scene(name) for name in distinct}
     for name in distinct:
         members = [episode for episode in used if names[episode] == name]
         _check_channels(windows, scenes[name])
@@ -88,31 +89,10 @@ def episode_scenes(
 def _scene_name(windows: Windows, episode: int, facts: Mapping, scene: str | None) -> str:
     """Return what `load_scene` takes for the scene of an episode."""
     if scene is None:
-        if facts.get("scene") is None:
-            raise UsageError(
-                "the recordings name no scene to simulate them in",
-                expected="--scene NAME or scene.yaml",
-                where=Where(path=str(windows.dataset.path), episode=facts["id"]),
-                fix="give the scene that models what was recorded",
-            )
-        return str(facts["scene"])
+        return builtin_scene(facts.get("scene"), Where(path=str(windows.dataset.path), episode=facts["id"]))
     base, mark, folder = scene.rpartition(OBJECT_MARK)
     is_collection = mark and Path(folder).is_dir() and not (Path(folder) / OBJECT_FILE).is_file()
     return f"{base}{mark}{Path(folder) / str(facts.get('object'))}" if is_collection else scene
-
-
-def _load(name: str, facts: Mapping) -> Scene:
-    """Return the scene; an object that is known by its name alone is asked for by its folder."""
-    try:
-        return load_scene(name)
-    except UnknownNameError as error:
-        raise UsageError(
-            f"the scene {name} of the recordings is not there",
-            expected="a built-in scene with a registered object, or --scene",
-            found=error.problem,
-            where=Where(episode=facts["id"]),
-            fix=f"give --scene SCENE.yaml, or --scene SCENE{OBJECT_MARK}FOLDER where FOLDER holds the objects' folders",
-        ) from None
 
 
 def _check_channels(windows: Windows, scene: Scene) -> None:

@@ -65,8 +65,9 @@ class EvaluationSettings:
         `simulator`, those of the free simulation, of the repaired one where there is a repair.
     threads : int
         Threads of the simulators.
-    history, horizon, rate_hz : int, int, float or None
-        Windows where no run says them; by default those that training takes.
+    shape : mapping of str to float or None
+        `history`, `horizon` and `rate_hz` of the windows where no run says them; what it leaves out is what
+        `candata train` takes by default.
     """
 
     group: str = "test"
@@ -81,9 +82,7 @@ class EvaluationSettings:
     effects: tuple[EffectSetting, ...] | None = None
     joints: JointsFrom = "recorded"
     threads: int = 1
-    history: int | None = None
-    horizon: int | None = None
-    rate_hz: float | None = None
+    shape: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -185,18 +184,18 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
             raise UnknownNameError(kind, word, words)
     if settings.simulator is False and _requires_simulator(settings):
         raise UsageError("a scene, effects or simulated joints, and no simulator", fix="leave --no-simulator out")
-    stated_shape = [name for name in jobs.DEFAULT_SHAPE if getattr(settings, name) is not None]
-    if stated_shape and evaluated:
+    if settings.shape and evaluated:
         raise UsageError(
             "the runs say what their windows are",
-            found=", ".join(f"--{name.replace('_', '-')}" for name in stated_shape),
+            found=", ".join(f"--{name.replace('_', '-')}" for name in settings.shape),
             fix="leave these options out: they are for an evaluation without runs",
         )
     ranges: list[tuple[str, int, int | None]] = [("samples", settings.samples, None), ("steps", settings.steps, None)]
     ranges += [("steps", settings.steps, each.run.config.get("train_steps")) for each in evaluated]
     ranges += [("execute", each.execute, each.run.sizes["horizon"]) for each in evaluated]
     if settings.execute is not None and not evaluated:
-        ranges += [("execute", settings.execute, int(settings.horizon or jobs.DEFAULT_SHAPE["horizon"]))]
+        shape = {**jobs.DEFAULT_SHAPE, **(settings.shape or {})}
+        ranges += [("execute", settings.execute, int(shape["horizon"]))]
     for name, value, maximum in ranges:
         if value < 1 or (maximum is not None and value > maximum):
             raise UsageError(
@@ -212,8 +211,7 @@ def _windows(
     recorded = set(row_shapes(dataset, None))
     reads = {channel for each in evaluated for channel in each.run.channels}
     channels = {"object_pose", *reads, *(name for name in READ_WHERE_RECORDED if name in recorded)}
-    stated_shape = {name: getattr(settings, name) for name in jobs.DEFAULT_SHAPE}
-    shape = {name: jobs.DEFAULT_SHAPE[name] if value is None else value for name, value in stated_shape.items()}
+    shape = dict(jobs.DEFAULT_SHAPE) | dict(settings.shape or {})
     if evaluated:
         shape = {name: max(each.run.sizes[name] for each in evaluated) for name in ("history", "horizon")}
         shape["rate_hz"] = evaluated[0].run.rate_hz

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from candata.datasets import Dataset
-from candata.errors import CandataError, UsageError
+from candata.errors import CandataError, UsageError, Where
 from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.kinematics import hand_kinematics
+from candata.scenes.recorded_names import builtin_scene
 from candata.schema.json_text import parse_json
 from candata.schema.kinematics import HandKinematics
 
@@ -44,7 +45,8 @@ def with_hand(config: Any, datasets: Iterable[Dataset], scene: str | None) -> tu
         if not named_scenes:
             return config, ("no fingertips: the recordings name no scene; --scene gives the hand's",)
         try:
-            hand = _hand(str(named_scenes[0]).partition(OBJECT_MARK)[0], facts)
+            base = str(named_scenes[0]).partition(OBJECT_MARK)[0]
+            hand = _hand(builtin_scene(base, Where(episode=facts["id"])), facts)
         except CandataError as error:
             return config, (f"no fingertips: {error.problem}; --scene gives the hand's",)
     if hand is None:

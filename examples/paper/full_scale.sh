@@ -3,7 +3,7 @@
 #
 #     GPUS=1 OUT=out/full sh examples/paper/full_scale.sh
 #
-# One model takes about 23 hours on the smaller set and 47 on the larger one on two idle CPU cores, so this wants GPUs.
+# One model takes about 22 hours on the smaller set and 43 on the larger one on two idle CPU cores, so this wants GPUs.
 # It needs the objects of YCB: candata fetch ycb --from FOLDER --out out/ycb. A script that was stopped goes on when it is
 # started again: sets with the episodes that are missing, runs from their last checkpoint, also on another number of GPUs.
 set -eu

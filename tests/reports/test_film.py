@@ -132,7 +132,7 @@ def test_another_scene_digest_is_said(dataset):
 @pytest.mark.parametrize(
     ("changes", "scene", "text"),
     [
-        ({"scene": None}, None, "names no scene"),
+        ({"scene": None}, None, "name no scene"),
         ({"scene": "../mine.yaml"}, None, "is not built in"),
         ({"scene": "gripper_tabletop+mug"}, None, r"gripper_tabletop\+FOLDER"),
         ({"joint_names": tuple("abcdefgh")}, None, "not those of the scene"),

@@ -56,7 +56,7 @@ def test_models_of_other_windows_and_channels_stand_on_one_page(make_run, datase
     (sampled,) = (track.sampled["second"] for track in tracks)
     assert sampled.shape == (8, len(tracks[0].truth), 7)
     assert sampled.std(axis=0)[-1, 0] > 0
-    assert found.notes == ("no simulator beside them: the recordings name no scene to simulate them in",)
+    assert found.notes == ("no simulator beside them: the recordings name no scene",)
 
 
 def test_joints_that_follow_a_servo_are_said_to(make_run, dataset):
@@ -78,9 +78,9 @@ def test_baselines_need_no_run(dataset):
     assert (found.models, found.episodes) == ({}, 10)
     assert not any(track.sampled for track in tracks)
     with pytest.raises(UsageError, match="--execute is out of range"):
-        evaluate([], dataset("short"), replace(QUICK, horizon=4, execute=5))
+        evaluate([], dataset("short"), replace(QUICK, shape={"horizon": 4}, execute=5))
     with pytest.raises(UsageError, match="history"):
-        evaluate([], dataset("without"), replace(QUICK, history=0))
+        evaluate([], dataset("without"), replace(QUICK, shape={"history": 0}))
     with pytest.raises(UsageError, match="nothing to evaluate"):
         evaluate([], dataset("other"), replace(QUICK, baselines=False))
 

@@ -1,4 +1,4 @@
-"""What an experiment is refused for before anything of it is made: sets, channels, models, episodes seen before."""
+"""Sets of an experiment that stand: found, and refused where a model lacks a channel or would see a test episode."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ NAMED_IDS = 5
 
 
 def standing_set(file: ExperimentFile, source_name: str) -> Dataset:
-    """Return a set that stands."""
+    """Return a set that stands.
+
+    Raises
+    ------
+    DataError
+        When there is none.
+    """
     path = str(file.data[source_name].path)
     if not Path(path).exists() and not Path(path).name.startswith("@"):
         raise DataError(
