@@ -66,7 +66,7 @@ class CellRecord(ResultRecord):
     name, kind, digest : str
         Of the cell.
     settings, inputs : dict
-        Its settings, and digests of its inputs by role.
+        Its settings, and names of its input cells by role.
     versions : dict of str to str
         Of candata and the packages that decide.
     result : dict

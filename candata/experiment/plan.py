@@ -185,7 +185,7 @@ class _Planner:
                     for seed in self.file.seeds:
                         run = self.run(title, column, count, name, origin, regime, seed)
                         # Without a repair, what never saw a real episode is the same for all numbers of them.
-                        shown = 0 if regime == "sim" and origin == "nominal" and self.file.real_counts else count
+                        shown = 0 if regime == "sim" and origin == "nominal" else count
                         cell = f"evaluation/{title}/{name}/{origin}/{regime}/{_count_word(shown)}/seed-{seed}"
                         yield Entry(title, shown, cell, name, regime, origin, seed), run
 

@@ -39,7 +39,8 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(experiment_file, tmp_p
     assert (tmp_path / "parts" / "table.json").read_bytes() == (tmp_path / "whole" / "table.json").read_bytes()
     assert standing
     assert all(file.stat().st_mtime_ns == time for file, time in standing.items())
-    assert [row.label for row in whole.rows] == ["stays", "mlp, sim", "mlp, real-finetune"]
+    shown = [(row.label, row.real_count) for row in whole.rows]
+    assert shown == [("stays", 0), ("mlp, sim", 0), ("mlp, real-finetune", None)]
     assert all(row.adds_auc.value is not None and row.mse.value is not None for row in whole.rows)
     assert all(row.adds_auc.low is None for row in whole.rows)
     assert whole.notes == ("fewer than 30 test episodes, so no intervals: single",)
@@ -55,7 +56,7 @@ def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_
     assert rows["long", "mlp, sim"].failed is None
     assert rows["short", "mlp, sim"].adds_auc.value is None
     assert "no episode is long enough" in rows["short", "mlp, sim"].failed
-    failed_name = "evaluation/short/mlp/nominal/sim/train-all/seed-0"
+    failed_name = "evaluation/short/mlp/nominal/sim/train-0/seed-0"
     assert set(table.failed) == {failed_name, "evaluation/short/rows"}
 
 
