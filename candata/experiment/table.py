@@ -17,6 +17,8 @@ from candata.gap.verdict import EXPLAINED
 from candata.schema.json_text import read_json
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation
 
+#: What a reader must know of what models are shown and simulators are not.
+REPLAYED = "in closed loop models are fed the recorded joints, where they read joints; simulators move their own"
 #: Regimes from the one that a first line speaks of rather to the last.
 _PREFERRED = ("real-finetune", "real", "sim")
 
@@ -72,7 +74,7 @@ def make_table(plan: Plan, outcome: Outcome, scale: float) -> ExperimentTable:
         headline=findings[0] if findings else "no row has scores yet",
         scale=scale,
         findings=tuple(findings[1:]),
-        notes=(*file.notes, *_notes(columns)),
+        notes=(*file.notes, *_notes(columns), *((REPLAYED,) if any(row.model for row in rows) else ())),
         columns=columns,
         rows=tuple(rows),
         repairs=outcome.repairs,

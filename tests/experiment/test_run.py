@@ -12,6 +12,7 @@ from candata.errors import CandataError, UsageError
 from candata.experiment import plan_cells, read_experiment, run_experiment
 from candata.experiment.config import Generation, SealedWorld
 from candata.experiment.sources import make_sealed, opened_effects, set_options
+from candata.experiment.table import REPLAYED
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import read_seal
@@ -43,7 +44,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(experiment_file, tmp_p
     assert shown == [("stays", 0), ("mlp, sim", 0), ("mlp, real-finetune", None)]
     assert all(row.adds_auc.value is not None and row.mse.value is not None for row in whole.rows)
     assert all(row.adds_auc.low is None for row in whole.rows)
-    assert whole.notes == ("fewer than 30 test episodes, so no intervals: single",)
+    assert whole.notes == ("fewer than 30 test episodes, so no intervals: single", REPLAYED)
 
 
 def test_a_cell_that_fails_is_named_in_its_rows_and_the_others_stand(experiment_file, tmp_path):
