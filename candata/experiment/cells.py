@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -67,6 +68,9 @@ class CellRecord(ResultRecord):
         Of the cell.
     settings, inputs : dict
         Its settings, and names of its input cells by role.
+    made_from : dict of str to str
+        `content_of` each input when the cell was made, by role: a digest of settings does not tell one draw of a sealed
+        world from another.
     versions : dict of str to str
         Of candata and the packages that decide.
     result : dict
@@ -81,6 +85,7 @@ class CellRecord(ResultRecord):
     digest: str
     settings: dict[str, Any]
     inputs: dict[str, str]
+    made_from: dict[str, str]
     versions: dict[str, str]
     result: dict[str, Any]
     seconds: float
@@ -113,14 +118,45 @@ def cell_folder(out: Path, cell: Cell, digest: str) -> Path:
     return out / "cells" / f"{cell.kind}-{digest[:16]}"
 
 
-def read_cell(folder: Path, digest: str) -> CellRecord | None:
-    """Return the record of a cell that stands; None for one that is missing, damaged, emptied or of another digest."""
-    try:
-        record = CellRecord.model_validate(parse_json((folder / FILE).read_bytes()))
-    except (OSError, ValueError):
+def read_cell(folder: Path, digest: str, inputs: Mapping[str, Path] | None = None) -> CellRecord | None:
+    """Return the record of a cell that stands; None for one that is missing, damaged, emptied or of another digest.
+
+    With `inputs`, the folders of its input cells by role, it must also have been made from what stands there now.
+    """
+    record = _read(folder)
+    if record is None or record.digest != digest:
         return None
     is_whole = record.kind not in _HELD or (folder / _HELD[record.kind]).exists()
-    return record if is_whole and record.digest == digest else None
+    is_current = inputs is None or record.made_from == made_from(inputs)
+    return record if is_whole and is_current else None
+
+
+def made_from(inputs: Mapping[str, Path]) -> dict[str, str]:
+    """Return the content of input cells, given by their folders, by role."""
+    return {role: content_of(folder) for role, folder in inputs.items()}
+
+
+def content_of(folder: Path) -> str:
+    """Return the sha256 of what came of a finished cell, and of what it was made from, wherever it lies."""
+    record = _read(folder)
+    result = {} if record is None else {name: value for name, value in record.result.items() if name != "path"}
+    text = json.dumps([result, {} if record is None else record.made_from], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def drop_outdated(folder: Path, inputs: Mapping[str, Path]) -> None:
+    """Delete a cell that was made from other content than its inputs hold now."""
+    record = _read(folder)
+    if record is not None and record.made_from != made_from(inputs):
+        shutil.rmtree(folder)
+
+
+def _read(folder: Path) -> CellRecord | None:
+    """Return the record in a folder; None where there is none, or a damaged one."""
+    try:
+        return CellRecord.model_validate(parse_json((folder / FILE).read_bytes()))
+    except (OSError, ValueError):
+        return None
 
 
 def write_cell(folder: Path, record: CellRecord) -> None:

@@ -330,6 +330,7 @@ def _check_names(file: ExperimentFile, path: Path) -> None:
                 expected="path or sealed",
                 where=where,
             )
+        _refuse_shared_episodes(file, title, column, where)
     for name, entry in file.models.items():
         _require("model", entry.model or name, MODELS.names(), where)
     for name in filter(None, (file.main, file.without_contact)):
@@ -346,6 +347,21 @@ def _check_names(file: ExperimentFile, path: Path) -> None:
                 where=where,
                 fix="lengthen them, or shorten the horizon",
             )
+
+
+def _refuse_shared_episodes(file: ExperimentFile, title: str, column: Column, where: Where) -> None:
+    """Refuse to diagnose episodes of a sealed world that are test episodes of the same world with fewer to train on."""
+    real = file.data[column.real].sealed
+    diagnosed = file.data[column.diagnosed or column.real].sealed
+    if real is None or diagnosed is None or diagnosed.train <= real.train:
+        return
+    if diagnosed.model_copy(update={"train": real.train, "test": real.test}) == real:
+        raise UsageError(
+            f"column {title}: training episodes of {column.diagnosed} are test episodes of {column.real}",
+            expected=f"at most {real.train} of them, or another seed",
+            found=str(diagnosed.train),
+            where=where,
+        )
 
 
 def _require(kind: str, name: str, known_names: Iterable[str] | Mapping[str, Any], where: Where) -> None:

@@ -64,7 +64,8 @@ class _Run:
         results: list[CellRecord | Failure] = []
         missing = []
         for cell in batch:
-            standing = read_cell(cell_folder(self.bench.out, cell, names[cell.name]), names[cell.name])
+            folder = cell_folder(self.bench.out, cell, names[cell.name])
+            standing = read_cell(folder, names[cell.name], inputs[cell.name])
             results += [replace_name(standing, cell.name)] if standing else []
             missing += [] if standing else [cell]
         # Two cells of one digest are one piece of work.

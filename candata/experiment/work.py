@@ -22,6 +22,8 @@ from candata.experiment.cells import (
     Cell,
     CellRecord,
     cell_folder,
+    drop_outdated,
+    made_from,
     read_cell,
     versions,
     write_cell,
@@ -86,7 +88,7 @@ def make_set(cell: Cell, digest: str, inputs: Mapping[str, Path], bench: Bench) 
     """Return the record of a set, a part or a diagnosis once it stands; one that fails is told, not raised."""
     makers = {"data": _make_data, "part": _make_part, "diagnosis": _make_diagnosis}
     maker = makers[cell.kind]
-    return _recorded(cell, digest, bench.out, lambda folder: maker(cell, folder, inputs, bench))
+    return _recorded(cell, digest, bench.out, inputs, lambda folder: maker(cell, folder, inputs, bench))
 
 
 def run_cell(out: str, cell: Cell, digest: str, inputs: dict[str, str], threads: int) -> CellRecord | Failure:
@@ -110,17 +112,20 @@ def run_cell(out: str, cell: Cell, digest: str, inputs: dict[str, str], threads:
     torch.set_num_threads(threads)
     maker = {"train": _make_run, "evaluation": _make_evaluation}[cell.kind]
     paths = {role: Path(path) for role, path in inputs.items()}
-    return _recorded(cell, digest, Path(out), lambda folder: maker(cell, folder, paths, threads))
+    return _recorded(cell, digest, Path(out), paths, lambda folder: maker(cell, folder, paths, threads))
 
 
-def _recorded(cell: Cell, digest: str, out: Path, make: Callable[[Path], dict[str, Any]]) -> CellRecord | Failure:
+def _recorded(
+    cell: Cell, digest: str, out: Path, inputs: Mapping[str, Path], make: Callable[[Path], dict[str, Any]]
+) -> CellRecord | Failure:
     """Return the record of a cell, written last; or why it failed: no cell takes others with it."""
     folder = cell_folder(out, cell, digest)
-    standing = read_cell(folder, digest)
+    standing = read_cell(folder, digest, inputs)
     if standing is not None:
         return standing
     begin_s = time.monotonic()
     try:
+        drop_outdated(folder, inputs)
         result = make(ensure_folder(folder))
         record = CellRecord(
             name=cell.name,
@@ -128,6 +133,7 @@ def _recorded(cell: Cell, digest: str, out: Path, make: Callable[[Path], dict[st
             digest=digest,
             settings=dict(cell.settings),
             inputs=dict(cell.inputs),
+            made_from=made_from(inputs),
             versions=versions(cell.kind),
             result=result,
             seconds=time.monotonic() - begin_s,

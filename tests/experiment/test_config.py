@@ -182,3 +182,14 @@ def test_the_papers_experiments_can_be_planned(name, monkeypatch):
     residual_runs = [c for n, c in plan.cells.items() if n.startswith("train/") and "/sim_residual/repaired/" in n]
     assert residual_runs
     assert all("effects" in cell.inputs for cell in residual_runs)
+
+
+def test_a_diagnosis_of_test_episodes_of_the_same_world_is_refused(experiment_file, tmp_path):
+    (tmp_path / "hidden.yaml").write_text("effects: [{name: object_mass, parameters: {mass_scale: 2.0}}]\n")
+    world = {"scene": "cube_toss", "hidden": "hidden.yaml", "world": "one", "train": 4, "test": 4}
+    data = {"real": {"sealed": world}, "more": {"sealed": world | {"train": 6, "test": 2}}, "sim": {"path": "sim"}}
+    columns = {"single": {"sim": "sim", "real": "real", "diagnosed": "more"}}
+    with pytest.raises(UsageError, match="training episodes of more are test episodes of real"):
+        read_experiment(experiment_file(data=data, columns=columns))
+    data["more"]["sealed"]["seed"] = 7
+    read_experiment(experiment_file(data=data, columns=columns))

@@ -177,3 +177,20 @@ def test_a_repair_takes_the_place_of_what_was_drawn(tmp_path):
     assert [effect.name for effect in drawn] == ["object_mass", "sliding_friction"]
     assert drawn[0].parameters == {"mass_scale": 1.4}
     assert drawn[1] == read_randomisation(tmp_path / "random.yaml").effects[1]
+
+
+def test_a_world_that_is_drawn_anew_is_not_mixed_with_the_one_before(experiment_file, tmp_path):
+    (tmp_path / "hidden.yaml").write_text(
+        "effects: [{name: sliding_friction, parameters: {scale: {uniform: [1.0, 3.0]}}}]\n"
+    )
+    world = {"scene": "cube_toss", "hidden": "hidden.yaml", "duration_s": 0.6, "train": 2, "test": 3}
+    windows = {"history": 3, "horizon": 4, "rate_hz": 37}
+    data, columns = {"real": {"sealed": world}}, {"c": {"real": "real"}}
+    path = experiment_file(data=data, columns=columns, regimes=["real"], windows=windows)
+    table_of(path, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "seals")
+    for folder in (tmp_path / "out" / "cells").glob("data-*"):
+        shutil.rmtree(folder)
+    second = table_of(path, tmp_path / "out")
+    shutil.copytree(tmp_path / "out" / "seals", tmp_path / "fresh" / "seals")
+    assert table_of(path, tmp_path / "fresh").rows == second.rows

@@ -386,14 +386,13 @@ def test_the_summary_is_a_row_each():
 
 #: Turns the first path by a drag, and tells what is drawn.
 DRAG = """() => {
-  const svg = document.querySelector("svg.space"), path = svg.querySelector(".loop");
-  const before = path.getAttribute("d");
+  const svg = document.querySelector("svg.space"), path = svg.querySelector(".loop"), before = path.getAttribute("d");
   const at = (name, x, y) => svg.dispatchEvent(new PointerEvent(name, { clientX: x, clientY: y, pointerId: 1 }));
   svg.setPointerCapture = () => {};
-  at("pointerdown", 50, 50); at("pointermove", 90, 60); at("pointerup", 90, 60);
+  for (const [name, x, y] of [["pointerdown", 50, 50], ["pointermove", 90, 60], ["pointerup", 90, 60]]) at(name, x, y);
   const height = element => element.getBoundingClientRect().height;
-  const drawings = [...document.querySelectorAll("[role=img]")];
-  return { turned: before !== path.getAttribute("d"), drawn: drawings.filter(d => height(d) > 50).length };
+  const drawn = [...document.querySelectorAll("[role=img]")].filter(drawing => height(drawing) > 50).length;
+  return { turned: before !== path.getAttribute("d"), drawn };
 }"""
 
 
