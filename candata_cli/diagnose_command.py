@@ -55,6 +55,10 @@ Against = Annotated[
 Edit = Annotated[
     str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
 ]
+Run = Annotated[
+    Path | None,
+    typer.Option("--run", metavar="RUN", help="Say too how far this trained model closes the gap (candata train)."),
+]
 BudgetS = Annotated[
     float | None,
     typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
@@ -83,6 +87,7 @@ def diagnose(
     ] = "",
     against: Against = None,
     edit: Edit = None,
+    run: Run = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
     only: Annotated[
         str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
@@ -94,9 +99,9 @@ def diagnose(
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     failing_verdicts, names = _verdicts(fail_on), console.words(only)
-    _refuse_pairs(edit, edit_scene, against, cache_dir, keep)
+    _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects)
     cache = _try_outputs(out, cache_dir, keep)
-    from candata.gap import diagnose as run
+    from candata.gap import diagnose as find
     from candata.reports import summary
     from candata.scenes import load_scene
 
@@ -105,7 +110,9 @@ def diagnose(
     kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
     with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
-        diagnosis = run(
+        if run is not None:
+            _check_run(run, data)
+        diagnosis = find(
             data,
             world,
             jobs=jobs,
@@ -122,6 +129,10 @@ def diagnose(
     if edit_data is not None:
         with console.stoppable(f"the report without its edit test stands in {out}"), console.stages() as stage:
             diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
+            page = _write_report(diagnosis, world, out, stage)
+    if run is not None:
+        with console.stoppable(f"the report without the model stands in {out}"), console.stages() as stage:
+            diagnosis = _with_model(diagnosis, run, data, scene, stage)
             page = _write_report(diagnosis, world, out, stage)
     console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report))
     console.note(f"report: {page}")
@@ -143,7 +154,13 @@ def _nominal(scene: Scene, effects: Path | None) -> Scene:
 
 
 def _refuse_pairs(
-    edit: str | None, edit_scene: str | None, against: str | None, cache_dir: Path | None, keep: bool
+    edit: str | None,
+    edit_scene: str | None,
+    against: str | None,
+    cache_dir: Path | None,
+    keep: bool,
+    run: Path | None,
+    effects: Path | None,
 ) -> None:
     """Refuse options that mean nothing without, or with, another."""
     from candata.errors import UsageError
@@ -152,6 +169,8 @@ def _refuse_pairs(
         raise UsageError("--edit with --against", expected="one of them", fix="test the repair without --against")
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
+    if run is not None and (against is not None or effects is not None):
+        raise UsageError("--run with --against or --effects", expected="one of them", fix="leave --run out")
     if cache_dir is not None and not keep:
         raise UsageError("--cache-dir with --no-cache", expected="one of them")
 
@@ -182,6 +201,27 @@ def _verdicts(text: str) -> tuple[str, ...]:
         if word not in VERDICTS:
             raise UnknownNameError("verdict", word, VERDICTS)
     return console.words(text)
+
+
+def _check_run(run: Path, dataset: Dataset) -> None:
+    """Refuse a run that cannot be compared, before the long work begins."""
+    from candata.experiment.learned import check_run
+    from candata_cli.torch_options import need_torch
+
+    need_torch()
+    check_run(run, dataset)
+
+
+def _with_model(
+    diagnosis: Diagnosis, run: Path, dataset: Dataset, scene: str, stage: Callable[[str], None]
+) -> Diagnosis:
+    """Return the diagnosis with a trained model beside its repair; its report stands already, should this fail."""
+    from dataclasses import replace
+
+    from candata.experiment.learned import learned_model
+
+    learned = learned_model(run, dataset, scene, tuple(diagnosis.named), stage)
+    return replace(diagnosis, report=diagnosis.report.model_copy(update={"learned": learned}))
 
 
 def _edit_data(edit: str, edit_scene: str | None, world: Scene, effects: Path | None) -> tuple[Dataset, Scene]:

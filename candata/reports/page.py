@@ -114,7 +114,12 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
 
 def _answers(report: Report) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
-    sentences = (words.closure_sentence(report), words.calibration_sentence(report), words.edit_sentence(report))
+    sentences = (
+        words.closure_sentence(report),
+        words.calibration_sentence(report),
+        words.edit_sentence(report),
+        words.learned_sentence(report),
+    )
     closure = " ".join(filter(None, sentences))
     unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
     return [

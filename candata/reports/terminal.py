@@ -18,6 +18,7 @@ LINES = {
     "how far": 3,
     "calibrated": 2,
     "edit test": 2,
+    "model": 2,
     "change": 3,
     "not known": 3,
     "untested": 1,
@@ -37,6 +38,7 @@ def summary(report: Report) -> str:
     lines += _entry("how far", words.closure_sentence(report), LINES["how far"])
     lines += _entry("calibrated", words.calibration_sentence(report), LINES["calibrated"])
     lines += _entry("edit test", words.edit_sentence(report), LINES["edit test"])
+    lines += _entry("model", words.learned_sentence(report), LINES["model"])
     lines += _changes(report)
     lines += _entry("not known", words.unknowns_sentence(report), LINES["not known"])
     lines += _entry("untested", _untested_words(report), LINES["untested"])

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from candata.reports.numbers import EQUALLY_GOOD, SUFFIX_UNITS, digits, format_estimate, percent, unit_of
-from candata.schema.report import EditTest, NamedEffect, Report, Symptom, Verdict
+from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom, Verdict
 
 #: A space at which no line ends.
 TIE = "\N{NO-BREAK SPACE}"
@@ -192,6 +192,28 @@ def repair_was_tried(report: Report) -> bool:
 def edit_sentence(report: Report) -> str:
     """Return the sentence that says whether the shrinkage is kept in another world; empty when not tested."""
     return edit_words(report.edit) if report.edit else ""
+
+
+def learned_sentence(report: Report) -> str:
+    """Return the sentence of a trained model beside the repair; empty when no run was named."""
+    learned = report.learned
+    if learned is None:
+        return ""
+    if learned.closed.share is None:
+        return f"The model {learned.run} has no gap of the object's motion to close: the simulator leaves too little."
+    words = f"The model {learned.run} closes {_shared_gap(learned.closed)} of the gap of the object's motion"
+    if learned.repair is not None:
+        words += f", the repair {_shared_gap(learned.repair)}"
+    fitted = ", on which the repair was fitted" if learned.repair is not None else ""
+    return f"{words} (ADD-S AUC in closed loop, {learned.episodes} episodes that it was not trained on{fitted})."
+
+
+def _shared_gap(gap: SharedGap) -> str:
+    """Return a share of the gap, with its interval where there is one."""
+    if gap.share is None:
+        return "nothing"
+    interval = "" if gap.low is None or gap.high is None else f" ({_interval(gap.low, gap.high)})"
+    return f"{percent(gap.share)}{interval}"
 
 
 def edit_words(edit: EditTest) -> str:

@@ -146,6 +146,33 @@ class EditTest(ResultRecord):
     reference: float = 1.0
 
 
+class SharedGap(ResultRecord):
+    """Closed-loop ADD-S AUC, and the share that it closes of the gap from the nominal simulator's to 1.
+
+    `low` and `high` are a 95 % interval over resampled episodes, null under 30 of them; `share` is null where the
+    nominal simulator leaves next to nothing.
+    """
+
+    adds_auc: float
+    share: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class LearnedModel(ResultRecord):
+    """A trained model beside the repair, by the object's motion in closed loop over episodes it was not trained on.
+
+    `repair` is null where nothing was named. The repair was fitted on these episodes, the model was not.
+    """
+
+    run: str
+    model: str
+    episodes: int
+    nominal_auc: float
+    closed: SharedGap
+    repair: SharedGap | None = None
+
+
 class Symptom(ResultRecord):
     """Where: a channel, element and phase in which the recording leaves the nulls.
 
@@ -214,6 +241,7 @@ class Report(ResultRecord):
     where: tuple[Symptom, ...] = ()
     next_motion: NextMotion | None = None
     edit: EditTest | None = None
+    learned: LearnedModel | None = None
     calibration: Calibration | None = None
     given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData

@@ -280,3 +280,38 @@ def test_a_reference_must_be_there(diagnosed, tmp_path):
     done = run("diagnose", diagnosed.dataset, "--against", tmp_path / "gone", "--scene", "cube_toss", "--out", tmp_path)
     assert (done.code, done.out) == (2, "")
     assert "gone" in done.err
+
+
+def test_a_model_stands_beside_the_repair_in_one_unit(diagnosed, tmp_path):
+    sim, model = toss(tmp_path / "sim", 10, "--seed", 9), tmp_path / "mlp"
+    shape = ("--history", 3, "--horizon", 4, "--rate-hz", 37)
+    assert run("train", "--data", sim, "--model", "mlp", "--steps", 4, *shape, "--out", model).code == 0
+    words = ("--scene", "cube_toss", "--only", "friction_cone", "--out", tmp_path / "report", "--jobs", 1)
+    done = run("diagnose", diagnosed.dataset, *words, "--run", model)
+    assert done.code == 0, done.err
+    assert f"model      The model {model} closes" in done.out
+    learned = Report.model_validate_json((tmp_path / "report" / "report.json").read_text()).learned
+    assert (learned.run, learned.model, learned.episodes) == (str(model), "mlp", 10)
+    # The true effect against a net of four steps: the repair nears the recordings, the net does not.
+    assert learned.repair.adds_auc > learned.nominal_auc > learned.closed.adds_auc
+    assert learned.repair.share > 0 > learned.closed.share
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("--run", "nowhere"), "no such checkpoint"), (("--run", "r", "--effects", "e.yaml"), "--run with --against")],
+)
+def test_a_run_that_cannot_be_compared_is_refused_at_once(three, tmp_path, words, said):
+    done = run("diagnose", three, "--scene", "cube_toss", "--out", tmp_path / "report", *words)
+    assert (done.code, said in done.err) == (2, True), done.err
+    assert not (tmp_path / "report").exists()
+
+
+def test_a_run_that_was_trained_on_the_recordings_is_refused(three, tmp_path):
+    words = ("--model", "mlp", "--steps", 2, "--history", 3, "--horizon", 4, "--rate-hz", 37)
+    other = tmp_path / "copy"
+    assert run("registry", "filter", three, "id <> 'cube_toss-s1-000002'", "--out", other).code == 0
+    assert run("train", "--data", other, *words, "--out", tmp_path / "mlp").code == 0
+    done = run("diagnose", three, "--scene", "cube_toss", "--out", tmp_path / "report", "--run", tmp_path / "mlp")
+    assert (done.code, "the run was trained on recordings that are diagnosed" in done.err) == (2, True), done.err
+    assert not (tmp_path / "report").exists()
