@@ -307,11 +307,13 @@ def test_a_run_that_cannot_be_compared_is_refused_at_once(three, tmp_path, words
     assert not (tmp_path / "report").exists()
 
 
-def test_a_run_that_was_trained_on_the_recordings_is_refused(three, tmp_path):
+def test_a_run_that_was_trained_on_the_recordings_is_refused(diagnosed, tmp_path):
     words = ("--model", "mlp", "--steps", 2, "--history", 3, "--horizon", 4, "--rate-hz", 37)
     other = tmp_path / "copy"
-    assert run("registry", "filter", three, "id <> 'cube_toss-s1-000002'", "--out", other).code == 0
+    assert run("registry", "filter", diagnosed.dataset, "id <> 'cube_toss-s5-000002'", "--out", other).code == 0
     assert run("train", "--data", other, *words, "--out", tmp_path / "mlp").code == 0
-    done = run("diagnose", three, "--scene", "cube_toss", "--out", tmp_path / "report", "--run", tmp_path / "mlp")
+    done = run(
+        "diagnose", diagnosed.dataset, "--scene", "cube_toss", "--out", tmp_path / "report", "--run", tmp_path / "mlp"
+    )
     assert (done.code, "the run was trained on recordings that are diagnosed" in done.err) == (2, True), done.err
     assert not (tmp_path / "report").exists()
