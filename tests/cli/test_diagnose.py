@@ -311,7 +311,7 @@ def test_a_run_that_was_trained_on_the_recordings_is_refused(diagnosed, tmp_path
     words = ("--model", "mlp", "--steps", 2, "--history", 3, "--horizon", 4, "--rate-hz", 37)
     other, model = tmp_path / "copy", tmp_path / "mlp"
     assert run("registry", "filter", diagnosed.dataset, "id <> 'cube_toss-s5-000002'", "--out", other).code == 0
-    assert run("train", "--data", other, *words, "--out", tmp_path / "mlp").code == 0
+    assert run("train", "--data", other, *words, "--out", model).code == 0
     done = run(
         "diagnose", diagnosed.dataset, "--scene", "cube_toss", "--out", tmp_path / "report", "--run", tmp_path / "mlp"
     )
