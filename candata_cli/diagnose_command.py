@@ -110,8 +110,7 @@ def diagnose(
     kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
     with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
-        if run is not None:
-            _check_run(run, data)
+        _check_run(run, data)
         diagnosis = find(
             data,
             world,
@@ -126,13 +125,11 @@ def diagnose(
         )
         stage.ends(None)
         page = _write_report(diagnosis, world, out, stage)
-    if edit_data is not None:
-        with console.stoppable(f"the report without its edit test stands in {out}"), console.stages() as stage:
-            diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
-            page = _write_report(diagnosis, world, out, stage)
-    if run is not None:
-        with console.stoppable(f"the report without the model stands in {out}"), console.stages() as stage:
-            diagnosis = _with_model(diagnosis, run, data, scene, stage)
+    if edit_data is not None or run is not None:
+        with console.stoppable(f"the report without --edit and --run stands in {out}"), console.stages() as stage:
+            if edit_data is not None:
+                diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
+            diagnosis = diagnosis if run is None else _with_model(diagnosis, run, data, scene, stage)
             page = _write_report(diagnosis, world, out, stage)
     console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report))
     console.note(f"report: {page}")
@@ -203,8 +200,10 @@ def _verdicts(text: str) -> tuple[str, ...]:
     return console.words(text)
 
 
-def _check_run(run: Path, dataset: Dataset) -> None:
+def _check_run(run: Path | None, dataset: Dataset) -> None:
     """Refuse a run that cannot be compared, before the long work begins."""
+    if run is None:
+        return
     from candata.experiment.learned import check_run
     from candata_cli.torch_options import need_torch
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import PurePath
 
 from candata.reports.numbers import EQUALLY_GOOD, SUFFIX_UNITS, digits, format_estimate, percent, unit_of
 from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom, Verdict
@@ -199,9 +200,10 @@ def learned_sentence(report: Report) -> str:
     learned = report.learned
     if learned is None:
         return ""
+    name = PurePath(learned.run).name
     if learned.closed.share is None:
-        return f"The model {learned.run} has no gap of the object's motion to close: the simulator leaves too little."
-    words = f"The model {learned.run} closes {_shared_gap(learned.closed)} of the gap of the object's motion"
+        return f"The model {name} has no gap of the object's motion to close: the simulator leaves too little."
+    words = f"The model {name} closes {_shared_gap(learned.closed)} of the gap of the object's motion"
     if learned.repair is not None:
         words += f", the repair {_shared_gap(learned.repair)}"
     fitted = ", on which the repair was fitted" if learned.repair is not None else ""
