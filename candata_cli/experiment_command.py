@@ -48,7 +48,8 @@ def experiment(
     """
     folder = out or Path("out") / config.stem
     check_output(folder, "folder")
-    from candata.experiment import plan_cells, read_experiment
+    from candata.experiment.config import read_experiment
+    from candata.experiment.plan import plan_cells
 
     plan = plan_cells(read_experiment(config, scale)).chosen(console.words(only))
     if dry_run:
@@ -57,7 +58,7 @@ def experiment(
         with console.stages() as stage:
             rows = forecast_cells(plan, folder, jobs, stage)
         return _tell_forecast(rows, jobs, json)
-    from candata.experiment import run_experiment
+    from candata.experiment.run import run_experiment
     from candata.reports import write_diagnosis
     from candata.reports.experiment import summary, write_experiment
     from candata.user_folders import user_cache

@@ -25,6 +25,10 @@ class PaperFigures(ResultRecord):
     mse: float | None = None
 
 
+#: Regimes from the one that answers for a model rather to the last.
+PREFERRED_REGIMES = ("real-finetune", "real", "sim")
+
+
 class Row(ResultRecord):
     """One row of the table: what forecasts, and how well on the test episodes of a column.
 
@@ -70,6 +74,11 @@ class Row(ResultRecord):
     excess: float | None = None
     paper: PaperFigures | None = None
     failed: str | None = None
+
+    @property
+    def regime_rank(self) -> int:
+        """Place of its regime among those that answer for a model, the first one rather; 0 for what is not trained."""
+        return PREFERRED_REGIMES.index(self.regime) if self.regime in PREFERRED_REGIMES else 0
 
 
 class ColumnFacts(ResultRecord):

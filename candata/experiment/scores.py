@@ -11,15 +11,10 @@ from numpy.typing import NDArray
 from candata.experiment.results import Value
 from candata.statistics import resamples
 from candata.training.metrics import SUCCESS_M
+from candata.training.pairs import ENDS, LEAST_TRAJECTORIES, RESAMPLES
 from candata.training.results import Evaluation
 
 Array = NDArray[np.float64]
-#: Resamples of an interval.
-DRAWS = 2000
-#: Test episodes below which the table has no intervals. Source: issue 62; Wilson intervals are wider than 35 points.
-LEAST_EPISODES = 30
-#: Ends of a 95 % interval.
-ENDS = (0.025, 0.975)
 #: Gaps of ADD-S AUC below this are none: a share of one says nothing. Chosen: half a point.
 LEAST_GAP = 0.005
 
@@ -65,18 +60,18 @@ class Resampling:
     def __init__(self, episodes: int, seed: int = 0) -> None:
         """Draw episodes."""
         self.rng_seed, self.episodes = seed, episodes
-        self.picks = resamples(np.random.default_rng([seed, 0]), episodes, DRAWS)
+        self.picks = resamples(np.random.default_rng([seed, 0]), episodes, RESAMPLES)
 
     @property
     def has_intervals(self) -> bool:
         """Whether there are episodes enough."""
-        return self.episodes >= LEAST_EPISODES
+        return self.episodes >= LEAST_TRAJECTORIES
 
     def means(self, scores: Array) -> Array:
-        """Return `(DRAWS,)` means of scores `(S, E)` over resampled episodes and seeds."""
+        """Return `(RESAMPLES,)` means of scores `(S, E)` over resampled episodes and seeds."""
         by_draw = scores[:, self.picks].mean(-1)
-        seeds = resamples(np.random.default_rng([self.rng_seed, len(scores)]), len(scores), DRAWS)
-        return np.asarray(by_draw[seeds, np.arange(DRAWS)[:, None]].mean(1))
+        seeds = resamples(np.random.default_rng([self.rng_seed, len(scores)]), len(scores), RESAMPLES)
+        return np.asarray(by_draw[seeds, np.arange(RESAMPLES)[:, None]].mean(1))
 
     def value(self, scores: Array) -> Value:
         """Return the mean of scores with its interval."""

@@ -12,15 +12,14 @@ from candata.experiment.config import ExperimentFile
 from candata.experiment.paper import paper_figures
 from candata.experiment.plan import Entry, Plan
 from candata.experiment.results import Answer, ColumnFacts, ExperimentTable, RepairFacts, Row, Value
-from candata.experiment.scores import LEAST_EPISODES, Resampling, RowScores, excess, row_scores
+from candata.experiment.scores import Resampling, RowScores, excess, row_scores
 from candata.gap.verdict import EXPLAINED
 from candata.schema.json_text import read_json
+from candata.training.pairs import LEAST_TRAJECTORIES
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation
 
 #: What a reader must know of what models are shown and simulators are not.
 REPLAYED = "in closed loop models are fed the recorded joints, where they read joints; simulators move their own"
-#: Regimes from the one that a first line speaks of rather to the last.
-_PREFERRED = ("real-finetune", "real", "sim")
 
 
 @dataclass(frozen=True)
@@ -198,10 +197,10 @@ def _facts(file: ExperimentFile, title: str, episodes: int, floor: RowScores | N
 
 def _notes(columns: Mapping[str, ColumnFacts]) -> list[str]:
     """Return what a reader must know of intervals."""
-    few = [title for title, facts in columns.items() if facts.test_episodes < LEAST_EPISODES]
+    few = [title for title, facts in columns.items() if facts.test_episodes < LEAST_TRAJECTORIES]
     if not few:
         return []
-    return [f"fewer than {LEAST_EPISODES} test episodes, so no intervals: {', '.join(few)}"]
+    return [f"fewer than {LEAST_TRAJECTORIES} test episodes, so no intervals: {', '.join(few)}"]
 
 
 def _findings(file: ExperimentFile, title: str, rows: list[Row], scored: list[_Scored], draws: Resampling) -> list[str]:
@@ -238,8 +237,7 @@ def _whose(file: ExperimentFile, row: Row) -> str:
 
 def _rank(file: ExperimentFile, row: Row) -> tuple[bool, int, float]:
     """Return how near a row is to what the first line speaks of, the nearest first."""
-    regime = _PREFERRED.index(row.regime) if row.regime in _PREFERRED else 0
-    return row.model not in (None, file.main_model), regime, -_count(row)
+    return row.model not in (None, file.main_model), row.regime_rank, -_count(row)
 
 
 def _count(row: Row) -> float:
@@ -260,12 +258,14 @@ def _without_contact(
     if scores is None or reference is None:
         return None
     gain = draws.difference(scores.adds_auc, reference.adds_auc)
-    points = 100 * (gain.value or 0.0)
+    if gain.value is None:
+        return None
+    points = 100 * gain.value
     word = "less" if points >= 0 else "more"
     sign = 1 if points >= 0 else -1
     ends = sorted((sign * 100 * (gain.low or 0.0), sign * 100 * (gain.high or 0.0)))
     interval = "" if gain.low is None else f" ({ends[0]:.1f} to {ends[1]:.1f})"
-    return f"without contact it is {abs(points):.1f} points {word}{interval}"
+    return f"without contact it is {abs(points):.1f} points of AUC {word}{interval}"
 
 
 def _find(scored: list[_Scored], **fields: object) -> RowScores | None:

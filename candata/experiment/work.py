@@ -42,8 +42,8 @@ from candata.training.results import REPAIRED, SIMULATOR
 from candata.training.settings import TrainingSettings
 
 SEALS = "seals"
-#: Warm-up of a short run, as a share of its steps. Chosen: that of `candata.training.settings`.
-_WARM_UP_STEPS = 500
+#: Fewest validations of a run. Chosen: a best checkpoint needs something to be best of.
+VALIDATIONS = 4
 
 WriteDiagnosis = Callable[[Diagnosis, Scene, Path], object]
 
@@ -217,11 +217,10 @@ def _make_diagnosis(cell: Cell, folder: Path, inputs: Mapping[str, Path], bench:
 
 
 def training_settings(settings: Mapping[str, Any]) -> TrainingSettings:
-    """Return how a training cell trains."""
-    steps = int(settings["steps"])
-    given = {name: settings[name] for name in ("seed", "steps", "batch", "learning_rate")}
-    rhythm = {"warm_up": min(_WARM_UP_STEPS, steps // 10), "validate_every": max(1, min(500, steps // 4))}
-    return TrainingSettings.model_validate(given | rhythm)
+    """Return how a training cell trains; a short run too is validated a few times."""
+    given = TrainingSettings.model_validate({n: settings[n] for n in ("seed", "steps", "batch", "learning_rate")})
+    validate_every = max(1, min(given.validate_every, int(settings["steps"]) // VALIDATIONS))
+    return given.model_copy(update={"validate_every": validate_every})
 
 
 def train_request(

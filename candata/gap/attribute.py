@@ -19,10 +19,10 @@ from candata.gap.search import Fit, Members, Problem
 from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, sharpened, unheld
-from candata.gap.starts import is_toss
 from candata.gap.together import Responses
 from candata.gap.uneven import alone, recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by
+from candata.scenes.traits import is_toss
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.

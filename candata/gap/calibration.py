@@ -18,8 +18,8 @@ from candata.gap.pace import Span
 from candata.gap.replay import EffectSet
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap
-from candata.gap.starts import is_toss
 from candata.gap.verdict import PARTLY
+from candata.scenes.traits import is_toss
 from candata.schema.report import Calibration, Gap, Verdict
 
 #: Verdicts beside which a calibration is made.

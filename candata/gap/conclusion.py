@@ -29,11 +29,11 @@ from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, measures, shares, support, trust
 from candata.gap.stage import Stage
-from candata.gap.starts import is_toss
 from candata.gap.unknown import Described, describe, described, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 from candata.schema.effect import EffectsFile, Value
 from candata.schema.report import (
     DiagnosisData,

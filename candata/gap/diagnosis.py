@@ -42,11 +42,12 @@ from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out
 from candata.gap.signatures import library
 from candata.gap.sized import with_sizes
-from candata.gap.starts import is_toss, start_notes, starts
+from candata.gap.starts import start_notes, starts
 from candata.gap.unfinished import unfinished
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, verdict
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 from candata.simulate import with_effects
 
 Array = NDArray[np.float64]

@@ -12,8 +12,9 @@ from candata.gap.held import held
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, read_alike, replay, true_start
 from candata.gap.residuals import Layout, residual
-from candata.gap.starts import FIT_ROWS, STILL_ROWS, Starts, is_toss, starts
+from candata.gap.starts import FIT_ROWS, STILL_ROWS, Starts, starts
 from candata.rotation import exp, multiply
+from candata.scenes.traits import is_toss
 from candata.schema.scene import Noise
 from candata.simulate import rollout
 from candata.simulate.episodes import add_noise

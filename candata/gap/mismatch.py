@@ -29,10 +29,11 @@ from candata.gap.mismatch_shifts import SampleReplay, shift_findings
 from candata.gap.mismatch_swaps import Swap, confirmed, distances, ordered, overlap, swap_findings, swaps
 from candata.gap.recordings import Recordings
 from candata.gap.replay import Replayer
-from candata.gap.starts import STILL_ROWS, is_toss
+from candata.gap.starts import STILL_ROWS
 from candata.gap.unseen import without_object
 from candata.gap.untested import untested_notes
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
 #: Episodes that are played: a mismatch is in all of them, or in a part that shows among so many.

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from candata.gap.finding import RecordingMismatch
 from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
 from candata.gap.recordings import Recordings
-from candata.gap.starts import support_height
 from candata.rotation import conjugate, normalise, rotate
 from candata.scenes import Scene
+from candata.scenes.traits import support_height
 from candata.units import TO_SI
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ from candata.gap.pace import ANOTHER, MEAN, ONE, REST, SHARPEN, SIGNATURE, Span
 from candata.gap.screen import screening
 from candata.gap.search import Problem
 from candata.gap.stage import unheld
-from candata.gap.starts import is_toss
 from candata.gap.wanted import wanted
 from candata.gap.worth import LARGEST
+from candata.scenes.traits import is_toss
 
 #: Signatures of all episodes that a first search came to need beside its first look: probes of a shortlist, and
 #: variants on one element.

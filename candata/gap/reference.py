@@ -21,7 +21,8 @@ from candata.gap.repeated_motions import motion_numbers, same_motions
 from candata.gap.repeats import duration_s, has_repeats, mean_of_runs, measured_deviation
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual, row_residual
-from candata.gap.starts import is_toss, starts
+from candata.gap.starts import starts
+from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
 #: Ridge penalties, in variances of a feature, among which left-out motions choose. Chosen: from hardly any to strong.

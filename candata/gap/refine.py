@@ -17,7 +17,7 @@ from candata.gap.robust import weights
 from candata.gap.score import Compact
 from candata.gap.screen import slopes
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.starts import is_toss
+from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
 World = Callable[[Array], Members]

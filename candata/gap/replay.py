@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from candata.effects import effect, flatten, turn
 from candata.gap.noise import SMALLEST
 from candata.gap.recordings import Recordings
-from candata.gap.starts import Starts, is_toss, starts
+from candata.gap.starts import Starts, starts
 from candata.gap.velocity import joint_velocity
 from candata.rotation import normalise
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 from candata.schema.effect import EffectSetting
 from candata.simulate import Observer, followed_readings, rollout, true_state
 

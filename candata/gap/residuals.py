@@ -11,9 +11,10 @@ from candata.errors import DataError
 from candata.gap.effort import foretold_effort
 from candata.gap.held import held
 from candata.gap.recordings import BLOCK_S, Recordings, block_rows
-from candata.gap.starts import Starts, is_toss, reach, support_height
+from candata.gap.starts import Starts, reach
 from candata.rotation import difference
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss, support_height
 from candata.schema.contact import fingertip_contact
 from candata.schema.phases import contact_phases
 

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from candata.effects import effects_with
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import REST_SPEED_MPS
-from candata.gap.starts import STILL_ROWS, Starts, is_toss
+from candata.gap.starts import STILL_ROWS, Starts
 from candata.rotation import difference, rotate
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
+from candata.scenes.traits import is_toss
 from candata.simulate import rollout
 from candata.statistics import resamples
 

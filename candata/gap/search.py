@@ -19,7 +19,8 @@ from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
 from candata.gap.signatures import Library
-from candata.gap.starts import Starts, is_toss, joined
+from candata.gap.starts import Starts, joined
+from candata.scenes.traits import is_toss
 from candata.schema.scene import Noise
 
 if TYPE_CHECKING:

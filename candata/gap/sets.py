@@ -22,7 +22,6 @@ from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import sparse
 from candata.gap.stage import Stage, as_simulated, look, unheld
-from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import are_worth_two, paired, shared, sharp, sharpest
 from candata.gap.worth import (
@@ -40,6 +39,7 @@ from candata.gap.worth import (
     left_by,
     worth_adding,
 )
+from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

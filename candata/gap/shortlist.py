@@ -17,7 +17,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.starts import is_toss
+from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

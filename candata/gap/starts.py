@@ -15,6 +15,7 @@ from candata.gap.hand_starts import hand_starts
 from candata.gap.recordings import Recordings
 from candata.rotation import conjugate, difference, exp, log, multiply, normalise
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss, support_height
 
 Array = NDArray[np.float64]
 #: A toss is replayed from this many rows before it comes within reach of the support (Acosta, Yang, Posa 2022).
@@ -78,11 +79,6 @@ class Starts:
 def joined(starts: Sequence[Starts]) -> Starts:
     """Return the starts of several sets of episodes, one after another."""
     return Starts(*(np.concatenate([s.arrays[f.name] for s in starts]) for f in fields(Starts)))
-
-
-def is_toss(scene: Scene) -> bool:
-    """Tell whether the scene is an object alone, replayed open loop."""
-    return len(scene.actuator_ids) == 0 and scene.object_id is not None
 
 
 def starts(scene: Scene, recs: Recordings, moving: NDArray[np.bool_] | None = None, threads: int = 1) -> Starts:
@@ -195,15 +191,6 @@ def _arm(scene: Scene, body: int) -> float:
     anchors = model.jnt_pos[first : first + model.body_jntnum[body]]
     swing = 2 * float(np.linalg.norm(anchors, axis=1).sum())
     return _arm(scene, int(model.body_parentid[body])) + float(np.linalg.norm(model.body_pos[body])) + swing
-
-
-def support_height(scene: Scene) -> float:
-    """Return the height of the support's top [m]; 0 without one."""
-    if scene.file.support is None:
-        return 0.0
-    geom = scene.model.geom(scene.file.support)
-    top = 0.0 if geom.type[0] == 0 else float(geom.size[2])
-    return float(geom.pos[2]) + top
 
 
 def _has_hinges(scene: Scene, recs: Recordings) -> bool:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from candata.gap.recordings import Recordings
 from candata.gap.replay import Replayer, replay_all
-from candata.gap.starts import is_toss, starts
+from candata.gap.starts import starts
+from candata.scenes.traits import is_toss
 from candata.schema.contact import fingertip_contact
 
 #: Time before and after a touch that is left out [s]: contact may be felt by links without sensors before a fingertip

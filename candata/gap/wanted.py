@@ -9,7 +9,7 @@ from candata.gap.replay import EffectSet, needs_simulation
 from candata.gap.screen import screening
 from candata.gap.search import Problem
 from candata.gap.shortlist import brief
-from candata.gap.starts import is_toss
+from candata.scenes.traits import is_toss
 
 #: What is wanted: what every diagnosis looks at first; also what most of many diagnoses come to need; everything.
 Depth = Literal["first", "most", "all"]

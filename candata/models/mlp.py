@@ -7,13 +7,14 @@ from torch import Tensor, nn
 
 from candata.loaders import Normaliser
 from candata.models._config import MlpConfig, check_sizes, parser
-from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
+from candata.models._contract import Batch, Model, Sizes
+from candata.models._deterministic import Deterministic
 from candata.models._encoders import mlp
-from candata.models._inputs import Reader, masked_mean
+from candata.models._inputs import Reader
 from candata.models._members import with_members
 
 
-class Mlp(nn.Module):
+class Mlp(Deterministic):
     """Linear layers with Mish from everything read to H increments."""
 
     def __init__(self, config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> None:
@@ -24,18 +25,7 @@ class Mlp(nn.Module):
         inputs = history_inputs + reader.place_size + sizes.horizon * reader.plan_size
         self.layers = mlp(inputs, *[config.width] * config.layers, sizes.horizon * 6)
 
-    def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
-        """Return `loss`, the mean squared error of the normalised increments over the steps that are known."""
-        value, is_known = self.reader.target(batch)
-        return {"loss": masked_mean((self._normalised_increments(batch) - value).square().mean(-1), is_known)}
-
-    @torch.no_grad()
-    def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
-        """Return the one forecast, `samples` times; `steps` and `generator` change nothing."""
-        increments = self.reader.to_si(self._normalised_increments(batch))
-        return Forecast(increments.expand(samples, *increments.shape), None)
-
-    def _normalised_increments(self, batch: Batch) -> Tensor:
+    def normalised_increments(self, batch: Batch) -> Tensor:
         """Return normalised increments `(B, H, 6)`."""
         increments: Tensor = self.layers(torch.cat([part.flatten(1) for part in self.reader(batch)], dim=-1))
         return increments.unflatten(-1, (self.sizes.horizon, 6))

@@ -10,14 +10,15 @@ from torch import Tensor, nn
 
 from candata.loaders import Normaliser
 from candata.models._config import UNET_PRESETS, UnetConfig, check_sizes, parser
-from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
+from candata.models._contract import Batch, Model, Sizes
+from candata.models._deterministic import Deterministic
 from candata.models._encoders import HistoryEncoder
-from candata.models._inputs import Reader, masked_mean
+from candata.models._inputs import Reader
 from candata.models._members import with_members
 from candata.models._unet import UNet
 
 
-class Unet(nn.Module):
+class Unet(Deterministic):
     """Encodes the history to z and maps the plan to H pose increments under it; all samples are equal."""
 
     places: Tensor
@@ -31,18 +32,7 @@ class Unet(nn.Module):
         # Without a plan the sequence still says which step is which.
         self.register_buffer("places", torch.linspace(-1, 1, sizes.horizon), persistent=False)
 
-    def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
-        """Return `loss`, the mean squared error of the normalised increments over the steps that are known."""
-        value, is_known = self.reader.target(batch)
-        return {"loss": masked_mean((self._normalised_increments(batch) - value).square().mean(-1), is_known)}
-
-    @torch.no_grad()
-    def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
-        """Return the one forecast, `samples` times; `steps` and `generator` change nothing."""
-        increments = self.reader.to_si(self._normalised_increments(batch))
-        return Forecast(increments.expand(samples, *increments.shape), None)
-
-    def _normalised_increments(self, batch: Batch) -> Tensor:
+    def normalised_increments(self, batch: Batch) -> Tensor:
         """Return normalised increments `(B, H, 6)`."""
         inputs = self.reader(batch)
         film = self.unet.window_film(self.encoder(batch, inputs))

@@ -31,8 +31,6 @@ ANSWERS: dict[Answer, str] = {
     "model": "model: pre-trained on the nominal simulation, then on real episodes",
     "both": "both: on or over the repaired simulation, then on real episodes",
 }
-#: Regimes from the one that answers for a model rather to the last.
-_PREFERRED = ("real-finetune", "real", "sim")
 
 
 def write_experiment(table: ExperimentTable, out: Path) -> Path:
@@ -146,7 +144,7 @@ def _answer_cell(rows: Sequence[Row], answer: Answer, count: int) -> str:
         chosen = [row for row in rows if row.answer == meant and row.real_count == count]
     chosen = sorted(
         (row for row in chosen if row.adds_auc.value is not None),
-        key=lambda row: _PREFERRED.index(row.regime) if row.regime in _PREFERRED else 0,
+        key=lambda row: row.regime_rank,
     )
     if not chosen:
         return DASH

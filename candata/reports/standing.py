@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from candata.reports.numbers import digits
+from candata.training.pairs import LEAST_TRAJECTORIES
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation, Pair
 
-#: Test trajectories below which a table gives no intervals. Source: the project's specification of evaluations.
-LEAST_TRAJECTORIES = 30
 #: Forecasters that the best one is compared with in the headline, and what they are called there.
 REFERENCES = {SIMULATOR: "the nominal simulator", "stays": "an object that stays"}
 

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.scenes.assemble import Scene
+from candata.scenes.traits import support_height
 from candata.schema.kinematics import HandKinematics, JointScrew, TipPoint, Vector
 
 _ONE_AXIS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -50,7 +51,7 @@ def hand_kinematics(scene: Scene) -> HandKinematics | None:
         screws=tuple(screws),
         tips=tips,
         driven_joints=_driven_joints(scene),
-        support_height_m=_support_height(scene, data),
+        support_height_m=None if scene.file.support is None else support_height(scene),
     )
 
 
@@ -101,18 +102,6 @@ def _driven_joints(scene: Scene) -> tuple[int, ...]:
     """Return the index into `joint_position` of the joint each actuator drives; -1 where it drives no listed one."""
     listed = {int(joint): i for i, joint in enumerate(scene.joint_ids)}
     return tuple(listed.get(scene.driven_joints.get(int(actuator), -1), -1) for actuator in scene.actuator_ids)
-
-
-def _support_height(scene: Scene, data: mujoco.MjData) -> float | None:
-    """Return the height of the support's top [m]."""
-    if scene.file.support is None:
-        return None
-    geom = scene.model.geom(scene.file.support).id
-    if scene.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE:
-        return float(data.geom_xpos[geom, 2])
-    centre, half = scene.model.geom_aabb[geom, :3], scene.model.geom_aabb[geom, 3:]
-    up = data.geom_xmat[geom].reshape(3, 3)[2]
-    return float(data.geom_xpos[geom, 2] + up @ centre + np.abs(up) @ half)
 
 
 def _vector(values: np.ndarray) -> Vector:

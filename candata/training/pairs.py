@@ -20,6 +20,9 @@ RESAMPLES, CHUNK = 2000, 100
 ENDS = (0.025, 0.975)
 #: Episodes below which resampling them says nothing of how another draw would come out, as in a diagnosis.
 LEAST_EPISODES = 8
+#: Test episodes below which a table gives no intervals. Source: the project's specification of evaluations; of 30
+#: episodes the Wilson interval of a share is up to 34 points wide.
+LEAST_TRAJECTORIES = 30
 
 
 @dataclass(frozen=True)

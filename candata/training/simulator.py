@@ -11,12 +11,13 @@ from candata.loaders import Windows
 from candata.loaders.increments import increments
 from candata.loaders.simulated import simulated_keys
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 from candata.schema.effect import EffectSetting
 from candata.simulate import Observer, rollout
 from candata.training.episode_scenes import EpisodeScenes, episode_scenes
 from candata.training.forecasters import Batch, ForecastArrays
 from candata.training.rollout import Course, Loop, at_rows
-from candata.training.window_starts import EARLIER_S, commands_from, is_toss, window_starts
+from candata.training.window_starts import EARLIER_S, commands_from, window_starts
 
 Array = NDArray[np.float64]
 #: Windows stepped together: enough to hide the loop's overhead, few enough to stay in cache.
@@ -139,12 +140,12 @@ class Simulator:
             threads=self.threads,
         )
         window = np.arange(len(steps))[:, None]
-        sound = np.minimum(rows, np.maximum(played.failed - 1, start.lead)[:, None])
+        readable_rows = np.minimum(rows, np.maximum(played.failed - 1, start.lead)[:, None])
         no_joints = np.zeros((*played.touch.shape, 0))
         return SimulatedArrays(
-            played.readings["object_pose"][window, sound],
-            played.readings.get("joint_position", no_joints)[window, sound],
-            played.touch[window, sound].astype(float),
+            played.readings["object_pose"][window, readable_rows],
+            played.readings.get("joint_position", no_joints)[window, readable_rows],
+            played.touch[window, readable_rows].astype(float),
             (count - 1) * scene.substeps * len(steps),
         )
 

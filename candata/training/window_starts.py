@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from candata.loaders import Windows
 from candata.rotation import conjugate, difference, exp, multiply, normalise, rotate
 from candata.scenes import Scene
+from candata.scenes.traits import is_toss
 from candata.simulate import followed_readings, true_state
 from candata.training.forecasters import JOINTS_FED, Batch
 
@@ -52,11 +53,6 @@ class WindowStarts:
     qvel: Array
     followed: dict[str, Array]
     first_row: Index
-
-
-def is_toss(scene: Scene) -> bool:
-    """Tell whether nothing is driven in the scene."""
-    return len(scene.actuator_ids) == 0
 
 
 def window_starts(windows: Windows, scene: Scene, batch: Batch) -> WindowStarts:

@@ -10,8 +10,9 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError
-from candata.experiment import plan_cells, read_experiment
 from candata.experiment.cells import digests, versions
+from candata.experiment.config import read_experiment
+from candata.experiment.plan import plan_cells
 from candata.loaders import make_split, save_split
 from tests.experiment.conftest import TINY
 

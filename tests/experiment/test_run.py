@@ -9,8 +9,9 @@ import pytest
 from candata.datasets import open_dataset
 from candata.effects import read_randomisation
 from candata.errors import CandataError, UsageError
-from candata.experiment import plan_cells, read_experiment, run_experiment
-from candata.experiment.config import Generation, SealedWorld
+from candata.experiment.config import Generation, SealedWorld, read_experiment
+from candata.experiment.plan import plan_cells
+from candata.experiment.run import run_experiment
 from candata.experiment.sources import make_sealed, opened_effects, set_options
 from candata.experiment.table import REPLAYED
 from candata.reports import write_diagnosis

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from candata.gap.recordings import recordings
-from candata.gap.starts import ROWS_BEFORE, STILL_ROWS, is_toss, reach, starts, support_height
+from candata.gap.starts import ROWS_BEFORE, STILL_ROWS, reach, starts
 from candata.policies import policy
 from candata.rotation import difference, exp, multiply
 from candata.scenes import load_scene
+from candata.scenes.traits import is_toss, support_height
 
 NOISE = 1e-3
 #: Start of the cube's flight: position [m], velocity [m/s], body-frame spin [rad/s].

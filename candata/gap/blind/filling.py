@@ -22,10 +22,11 @@ from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.search import Problem
 from candata.gap.signatures import alike
-from candata.gap.starts import Starts, is_toss, starts
+from candata.gap.starts import Starts, starts
 from candata.gap.verdict import FEWEST
 from candata.gap.wanted import Depth, wanted
 from candata.scenes import load_scene
+from candata.scenes.traits import is_toss
 from candata.schema.bench import FilledSignature
 
 #: What a run has filled its cache with.
