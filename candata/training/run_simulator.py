@@ -7,6 +7,7 @@ from functools import partial
 from candata.errors import UsageError, Where
 from candata.loaders import MixedWindows, Windows
 from candata.models import model as find_model
+from candata.scenes.assemble import OBJECT_MARK
 from candata.schema.effect import EffectSetting
 from candata.training.checkpoint import Checkpoint
 from candata.training.episode_scenes import episode_scenes
@@ -103,12 +104,15 @@ def trained_simulator(
     if facts is None:
         return None
     made = simulator(windows, scene or facts.scene, facts.effects, threads=threads)
+    trained_digests = set(facts.digests.values())
     for name, digest in made.scenes.digests.items():
-        if facts.digests.get(name, digest) != digest:
+        # A model of several objects may meet another one; a scene by itself is the one that was trained in.
+        is_other_object = OBJECT_MARK in name and name not in facts.digests
+        if digest not in trained_digests and not is_other_object:
             raise UsageError(
-                f"scene {name} has changed since the model was trained",
-                expected=facts.digests[name][:12],
-                found=digest[:12],
+                f"scene {name} is not the one that the model was trained in",
+                expected=f"digest {' or '.join(sorted(each[:12] for each in trained_digests))}",
+                found=f"digest {digest[:12]}",
                 where=Where(path=str(source.path)),
                 fix="bring the scene of that time back, or train again",
             )

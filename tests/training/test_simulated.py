@@ -202,11 +202,17 @@ class TestTraining:
     def test_another_scene_than_it_was_trained_with_is_refused(self, data, tmp_path):
         train(prepare(data, self.request(), self.settings()), tmp_path / "run")
         checkpoint = read(tmp_path / "run")
-        digests = dict.fromkeys(checkpoint.run.simulator.digests, "0" * 64)
-        facts = checkpoint.run.simulator.model_copy(update={"digests": digests})
-        changed = replace(checkpoint, run=checkpoint.run.model_copy(update={"simulator": facts}))
-        with pytest.raises(UsageError, match="has changed since"):
-            trained_simulator(changed, few_windows(data))
+
+        def trained_in(digests):
+            facts = checkpoint.run.simulator.model_copy(update={"digests": digests})
+            return replace(checkpoint, run=checkpoint.run.model_copy(update={"simulator": facts}))
+
+        for name in (*checkpoint.run.simulator.digests, "elsewhere/scene.yaml"):
+            with pytest.raises(UsageError, match="is not the one that the model was trained in"):
+                trained_simulator(trained_in({name: "0" * 64}), few_windows(data))
+        # Where its file lies decides nothing.
+        (digest,) = checkpoint.run.simulator.digests.values()
+        assert trained_simulator(trained_in({"elsewhere/scene.yaml": digest}), few_windows(data)) is not None
 
     def test_data_without_a_scene_are_refused_before_the_first_step(self, nominal, tmp_path, rewritten):
         data = rewritten(tmp_path / "data", nominal, lambda _: {}, scene=None)
