@@ -13,7 +13,7 @@ from candata.reports.evaluation_film import COLUMNS, films
 from candata.scenes import load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
-from tests.reports.test_evaluation import make_evaluation, make_track
+from tests.reports.evaluations import make_evaluation, make_track
 
 
 @pytest.fixture
