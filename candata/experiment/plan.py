@@ -66,7 +66,9 @@ class Plan:
         for word in words:
             if word not in known_words:
                 raise UnknownNameError("part of the experiment", word, known_words)
-            entries = tuple(entry for entry in entries if word in words_of(entry) or entry.model is None)
+            # Rows without training stand beside all models, but not beside those of another column.
+            is_shared = word not in self.file.columns
+            entries = tuple(e for e in entries if word in words_of(e) or (is_shared and e.model is None))
         needed = self.ancestors(entry.cell for entry in entries)
         return Plan(self.file, {name: cell for name, cell in self.cells.items() if name in needed}, entries)
 

@@ -167,6 +167,13 @@ def test_rows_are_chosen_by_words(experiment_file):
         plan.chosen(["seed-11"])
 
 
+def test_a_column_is_chosen_with_its_own_rows_alone(experiment_file):
+    columns = {title: {"sim": "sim", "real": "real"} for title in ("single", "again")}
+    chosen = plan_cells(read_experiment(experiment_file(columns=columns))).chosen(["single"])
+    assert {entry.column for entry in chosen.entries} == {"single"}
+    assert any(entry.model is None for entry in chosen.entries)
+
+
 def test_a_repair_needs_a_scene_and_one_object(experiment_file):
     with pytest.raises(CandataError, match="column single has a repair and no scene"):
         plan_cells(read_experiment(experiment_file(rows=["repaired simulator"])))
