@@ -8,10 +8,9 @@ from candata.reports import advice, words
 from candata.reports.numbers import format_estimate, percent, unit_of
 from candata.schema.report import NamedEffect, Report
 
-#: Columns of the text, lines of the whole, and effects shown before the rest is counted.
-WIDTH, MOST_LINES, MOST_EFFECTS = 98, 27, 3
-#: Most lines of each entry; with two of the headline and one of space they are `MOST_LINES`, as a motion is proposed
-#: only where nothing is calibrated.
+#: Columns of the text, and effects shown before the rest is counted.
+WIDTH, MOST_EFFECTS = 98, 3
+#: Most lines of each entry.
 LINES = {
     "where": 2,
     "which": 4,
