@@ -47,7 +47,7 @@ def test_what_means_nothing_is_refused_in_words(experiment_file, changes, words)
     assert words in str(refusal.value)
 
 
-def test_a_scale_is_of_episodes_and_steps_but_leaves_real_episodes_enough(experiment_file):
+def test_a_scale_is_of_episodes_and_steps_but_leaves_real_and_test_episodes_enough(experiment_file):
     data = {
         "sim": {"generate": {"scene": "cube_toss", "episodes": 1000}},
         "real": {"sealed": SEALED | {"all_wrong": True}},
@@ -61,7 +61,7 @@ def test_a_scale_is_of_episodes_and_steps_but_leaves_real_episodes_enough(experi
         50,
         20,
     )
-    assert (world.train, world.test, file.real_counts) == (30, 30, (0, 10, 30))
+    assert (world.train, world.test, file.real_counts) == (30, 200, (0, 10, 30))
     for scale in (0.0, 1.5):
         with pytest.raises(UsageError, match="--scale is out of range"):
             read_experiment(path, scale)
