@@ -1,6 +1,7 @@
 """`sim_residual`: what the simulator forecasts, corrected: what the network denoises is added to its increments.
 
 The network gives the clean correction and its last layer begins at zero, so an untrained network is the simulator.
+A gain scales what is added; training ends by choosing it (`candata.training.correction_gain`).
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ class SimResidual(DiffusionUNet):
 
     def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__(config, sizes, normaliser, step_features=SIMULATED_FEATURES)
+        self.gain: Tensor
+        self.register_buffer("gain", torch.ones(()))
 
     def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
         """Return `loss`, the mean squared error of the denoised correction over the steps that are known."""
@@ -40,7 +43,7 @@ class SimResidual(DiffusionUNet):
         condition = self.encoder(batch, inputs)
         sampled = self.sample(self._with_simulated(batch, inputs), condition, samples, steps, generator)
         # A sample of zero stands for the centre of the increments; a correction of zero is none.
-        corrected = self._simulated(batch) + (sampled - self.reader.increment_centre)
+        corrected = self._simulated(batch) + self.gain * (sampled - self.reader.increment_centre)
         return Forecast(corrected, batch["simulated/contact"].to(corrected.dtype))
 
     def target(self, batch: Batch) -> tuple[Tensor, Tensor]:

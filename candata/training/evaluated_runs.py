@@ -16,10 +16,9 @@ from candata.schema.channels import CHANNELS
 from candata.schema.json_text import parse_json
 from candata.training import checkpoint, jobs, runs
 from candata.training.checkpoint import Checkpoint
+from candata.training.rollout import EXECUTE
 from candata.training.settings import Run
 
-#: Steps of a chunk in closed loop, half the default horizon.
-EXECUTE = 8
 #: Groups of a split in which episodes that were trained on are looked for knowingly.
 KNOWINGLY_SEEN = ("train", "all")
 #: Ids that a message names.

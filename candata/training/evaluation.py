@@ -23,7 +23,7 @@ from candata.training.data import channels_for
 from candata.training.evaluated_runs import EvaluatedRun
 from candata.training.forecasters import BASELINES, TrainedModel
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation, ModelFacts, Scores, SimulatorFacts, Track
-from candata.training.rollout import Course
+from candata.training.rollout import EXECUTE, Course
 from candata.training.run_simulator import trained_simulator
 from candata.training.scoring import Entrant, EvaluationFindings, chosen_windows, score
 from candata.training.servo_lag import fit_servo_lags, followed_joints
@@ -133,7 +133,7 @@ def evaluate(
     held_out = _windows(dataset, split, evaluated, settings)
     entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
-    own_execute = settings.execute or min(evaluated_runs.EXECUTE, held_out.horizon)
+    own_execute = settings.execute or min(EXECUTE, held_out.horizon)
     execute = max((each.execute for each in evaluated), default=own_execute)
     others = {**simulators.forecasters, **(BASELINES if settings.baselines else {})}
     entrants |= {name: Entrant(forecaster, held_out, execute) for name, forecaster in others.items()}

@@ -24,10 +24,12 @@ from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
 from candata.training import checkpoint, feed, run_simulator, runs, simulated
 from candata.training.checkpoint import Checkpoint
+from candata.training.correction_gain import choose_gain
 from candata.training.data import TrainingData, find_data
 from candata.training.hands import with_hand
 from candata.training.loop import TrainingJob
 from candata.training.processes import ALONE, Processes
+from candata.training.rollout import EXECUTE
 from candata.training.settings import Run, RunSimulator, TrainingSettings
 
 #: Windows when nothing is asked for.
@@ -143,9 +145,11 @@ def prepare(
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
     batches: tuple[Batch, ...] = ()
+    settle = None
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
         if simulation is not None:
+            settle = partial(_settled, held_out=held_out, device=device)
             held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
         batches = feed.held_out(make_simulated(held_out), settings.batch, HELD_OUT_BATCHES, device)
     return TrainingJob(
@@ -158,6 +162,7 @@ def prepare(
         _effective(train, run),
         notes,
         processes,
+        settle,
     )
 
 
@@ -175,6 +180,16 @@ def build(run: Run, device: str = "cpu") -> torch.nn.Module:
     normaliser = Normaliser.parse(run.normaliser, "normaliser of the checkpoint")
     module: torch.nn.Module = model.build(model.parse(run.config), Sizes(**run.sizes), normaliser)
     return module.to(device)
+
+
+def _settled(source: Checkpoint, held_out: Windows | MixedWindows, device: str) -> Mapping[str, torch.Tensor]:
+    """Return the averaged weights of a model over the simulator, with the gain chosen on validation windows."""
+    module, run = trained_module(source, device), source.run
+    sources = held_out.sources if isinstance(held_out, MixedWindows) else (held_out,)
+    simulators = [run_simulator.trained_simulator(source, each) for each in sources]
+    followed = [(each, made) for each, made in zip(sources, simulators, strict=True) if made is not None]
+    choose_gain(module, followed, min(EXECUTE, run.sizes["horizon"]), run.settings.seed, device)
+    return module.state_dict()
 
 
 def trained_module(source: Checkpoint, device: str = "cpu") -> torch.nn.Module:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from candata.loaders import Effective
 from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
+from candata.training.checkpoint import Checkpoint
 from candata.training.processes import ALONE, Processes
 from candata.training.settings import Progress, Run, TrainingSettings
 from candata.training.state import TrainingState, generator, initial_state
@@ -50,6 +51,9 @@ class TrainingJob:
         What people should know before it begins.
     processes : Processes
         Those that train together; `draw` gives the rows of this one.
+    settle : callable or None
+        Called at the end with the best checkpoint; returns its averaged weights with what is chosen on the validation
+        episodes, which replace them. None where nothing is.
     """
 
     run: Run
@@ -61,6 +65,7 @@ class TrainingJob:
     effective: Callable[[int], tuple[Effective, ...]] = lambda _steps: ()
     notes: tuple[str, ...] = ()
     processes: Processes = ALONE
+    settle: Callable[[Checkpoint], Mapping[str, torch.Tensor]] | None = None
 
 
 @dataclass(frozen=True)
@@ -180,6 +185,8 @@ def _train(
             _save(job, state, folder)
         if saved_step < state.progress.step:
             _save(job, state, folder)
+    if settings.share(state.progress.step, state.progress.elapsed_s) >= 1:
+        _settle(job, folder)
     return state.progress
 
 
@@ -291,6 +298,16 @@ def _keep_best(state: TrainingState, folder: Path) -> None:
     """Give the last checkpoint the name of the best one when it is that."""
     if state.progress.best_step == state.progress.step:
         checkpoint.copy(folder / checkpoint.LAST_FILE, folder / checkpoint.BEST_FILE)
+
+
+def _settle(job: TrainingJob, folder: Path) -> None:
+    """Put into the best checkpoint what is chosen at the end."""
+    if job.settle is None or not (folder / checkpoint.BEST_FILE).is_file():
+        return
+    best = checkpoint.read(folder / checkpoint.BEST_FILE)
+    groups = {name: best.tensors(name) for name in (checkpoint.WEIGHTS, checkpoint.OPTIMISER)}
+    groups[checkpoint.AVERAGE] = dict(job.settle(best))
+    checkpoint.save(best.path, best.run, best.progress, groups)
 
 
 def _divergence_error(progress: Progress, settings: TrainingSettings, folder: Path) -> DataError:

@@ -15,6 +15,8 @@ from candata.loaders.increments import integrate
 from candata.training.forecasters import JOINTS_FED, Forecaster
 from candata.training.poses import mean_pose
 
+#: Steps of a chunk in closed loop, half the default horizon.
+EXECUTE = 8
 #: Probability from which a forecast of contact is fed back as contact.
 CONTACT_THRESHOLD = 0.5
 
