@@ -5,7 +5,7 @@ from candata.testing import DeviceConformance, StreamConformance
 from tests.suites import suites
 
 #: What some streams differ in: the values they are given, the resolution of their wire.
-STREAMS: dict[str, dict] = {}
+STREAMS: dict[str, dict] = {"ft300": {"step": 0.0051}}
 
 globals().update(suites(DeviceConformance, DEVICES, "device", Device))
 globals().update(suites(StreamConformance, DEVICES, "device", StreamDevice, **STREAMS))
