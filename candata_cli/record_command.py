@@ -15,6 +15,7 @@ from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.record.addresses import StreamSource
     from candata.record.recorder_values import RecorderView
 
 _SHOW_S = 1.0
@@ -61,15 +62,32 @@ def record_real(
     reserve_mb: Annotated[
         int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
     ] = 200,
+    arm: Annotated[
+        str | None, typer.Option("--arm", metavar="HOST[:PORT]", help="Arm to record too: arm=xarm@HOST.")
+    ] = None,
+    pose: Annotated[
+        str | None, typer.Option("--pose", metavar="udp://HOST:PORT", help="Lines of poses, or tcp://HOST:PORT.")
+    ] = None,
+    wrench: Annotated[str | None, typer.Option("--wrench", metavar="PORT", help="Wrist sensor, an FT300.")] = None,
+    stream: Annotated[
+        list[str] | None,
+        typer.Option("--stream", metavar="NAME=DEVICE@ADDRESS", help="Another stream; may be repeated."),
+    ] = None,
+    poll: Annotated[
+        str | None,
+        typer.Option("--poll", metavar="FILE|J1,J2,...", help="WRITES: ask the hand to hold this set-point [rad]."),
+    ] = None,
     plain_text: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
-    """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
+    """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
     from candata.record.devices import hand as hand_named
+    from candata.record.poll import read_posture
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
 
     check_output(out, "new")
+    hand, sources = hand_named(device), _sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])
     if duration is not None:
         _positive("duration", duration)
     stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
@@ -79,15 +97,24 @@ def record_real(
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
+        poll_rad=None if poll is None else read_posture(poll, hand),
     )
-    hand = hand_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
     ):
         report = record(
-            hand, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
+            hand,
+            port,
+            out,
+            name=device,
+            settings=settings,
+            overrides=overrides,
+            streams=sources,
+            stop=stop,
+            show=show,
+            say=say,
         )
     if as_json:
         console.out_json(report.facts)
@@ -97,6 +124,20 @@ def record_real(
         raise report.failure
     if duration is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
+
+
+#: Option of a stream to its device.
+_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
+
+
+def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
+    """Return the streams that the options name."""
+    from candata.record.addresses import parse_stream, stream_source
+
+    named = [
+        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
+    ]
+    return named + [parse_stream(text) for text in texts]
 
 
 def recover(
@@ -235,6 +276,15 @@ def _each_second() -> Callable[[RecorderView], None]:
     return show
 
 
+def _stream_text(facts: dict[str, Any]) -> str:
+    """Return what a report says of a stream."""
+    losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
+    return (
+        f"{facts['device']}: {facts['frames']} frames, {facts['rate_hz']:.2f} Hz, {facts['gaps']} gaps, the longest "
+        f"{facts['longest_gap_s'] * 1e3:.0f} ms, lost: {losses or 'nothing'}"
+    )
+
+
 def _print_report(facts: dict[str, Any]) -> None:
     """Print the report for people."""
     from candata.record.bursts import WORDS
@@ -250,6 +300,7 @@ def _print_report(facts: dict[str, Any]) -> None:
         ("lost", losses or "nothing"),
         ("unplugged", f"{len(facts['unplugs'])} times"),
         ("saturated", f"{saturation['forces']} forces, {saturation['taxels']} taxels"),
+        *((name, _stream_text(stream)) for name, stream in facts["streams"].items()),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
         ("ended", facts["problem"] or facts["ended"]),
         ("sha256", facts["sha256"]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,13 +12,18 @@ import numpy as np
 
 from candata.errors import CandataError, SetupError, UsageError, Where
 from candata.record import bursts
+from candata.record.addresses import Address, StreamSource, require_distinct
 from candata.record.calibration import Calibration, calibrate
-from candata.record.devices._contract import Device, Frame, States
+from candata.record.devices._contract import Commands, Device, Frame, States
 from candata.record.logs import LogMeta, LogWriter, meta_of
-from candata.record.reader_link import Event, ReaderLink, port_error
+from candata.record.poll import poll_of
+from candata.record.reader_link import Event, ReaderLink, port_error, wait_for_events
+from candata.record.recorder_errors import check_space, no_state
 from candata.record.recorder_tally import RecorderTally, join_states
 from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
+from candata.record.stream_recorder import StreamRecording, open_streams
 
+_WAIT_S = 0.05
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 
@@ -31,11 +35,14 @@ def record(
     name: str,
     settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
+    streams: Sequence[StreamSource] = (),
     stop: Callable[[], bool] = lambda: False,
     show: Callable[[RecorderView], None] = lambda view: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> RecordingReport:
-    """Listen to a port until told to stop, and return the report; not one byte is written to the port.
+    """Listen to a hand and the streams beside it until told to stop, and return the report.
+
+    Not one byte is written to a port or socket unless `settings.poll_rad` is given.
 
     Parameters
     ----------
@@ -51,6 +58,8 @@ def record(
         How to record.
     overrides : dict, optional
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
+    streams : sequence of StreamSource
+        What is recorded beside the hand into the same log.
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
@@ -59,9 +68,10 @@ def record(
     Raises
     ------
     UsageError
-        When `out` exists.
+        When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
     SetupError
-        When the port cannot be opened, the disk is full, or pyserial is missing. Later failures are in the report.
+        When a port or address cannot be opened, the disk is full, or pyserial is missing. Later failures are in the
+        report.
     """
     settings = settings or RecorderSettings()
     if out.exists():
@@ -69,11 +79,19 @@ def record(
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
     meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
-    with ReaderLink(port, meta.baud, settings.reconnect_s) as link:
+    poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
+    require_distinct(streams)
+    address = Address("serial", port, meta.baud)
+    with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
-        session = _Session(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say)
+        writer = LogWriter(out, meta)
+        session = _Session(device, meta, writer, settings, open_event.stamp_ns, say)
+        session.streams = [
+            StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
+            for source, stream_link, event in opened
+        ]
         failure: CandataError | None = None
         try:
             session.run(link, stop, show)
@@ -83,26 +101,6 @@ def record(
             unwritten = session.close()
     failure = failure or unwritten
     return RecordingReport(session.facts(port, out, failure), failure)
-
-
-def check_space(out: Path, reserve_bytes: int) -> None:
-    """Refuse a disk with less free space than the reserve.
-
-    Raises
-    ------
-    SetupError
-        When the disk is too full.
-    """
-    folder = next(parent for parent in out.absolute().parents if parent.is_dir())
-    free = shutil.disk_usage(folder).free
-    if free < reserve_bytes:
-        raise SetupError(
-            "the disk is nearly full",
-            expected=f"{reserve_bytes / 1e6:.0f} MB free",
-            found=f"{free / 1e6:.0f} MB",
-            where=Where(path=str(out)),
-            fix="make room, choose another --out, or lower --reserve-mb",
-        )
 
 
 class _Session:
@@ -133,6 +131,8 @@ class _Session:
         self._bursts = False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
+        self.streams: Sequence[StreamRecording] = ()
+        self._end_stamp_ns = opened_ns
 
     def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[RecorderView], None]) -> None:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
@@ -142,20 +142,24 @@ class _Session:
                 self.ended = "stopped" if now_ns < end_ns else "duration"
                 self._take_last(link, now_ns)
                 return
-            self._take(link.receive(0.05))
+            wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
+            self._take(link.receive(0.0))
+            for stream in self.streams:
+                stream.take(stream.link.receive(0.0))
             self._tick(show)
             if link.ended:
                 raise SetupError(
                     "the reader process died",
-                    where=Where(path=link.port),
+                    where=Where(path=str(link.address)),
                     fix="the log is whole up to here; start again",
                 )
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
+        self._end_stamp_ns = time.monotonic_ns()
         try:
             if not self._writer.failed:
-                self._writer.statistics(time.monotonic_ns(), self._tally.statistics(time.monotonic_ns()))
+                self._statistics(self._end_stamp_ns)
             self._writer.close()
         except SetupError as error:
             return error
@@ -186,6 +190,8 @@ class _Session:
             "calibrated": self._calibration is not None,
             "bytes": out.stat().st_size,
             "sha256": sha256,
+            "polled": self._settings.poll_rad is not None,
+            "streams": {stream.source.name: stream.facts(self._end_stamp_ns) for stream in self.streams},
         }
 
     def _end_ns(self) -> float:
@@ -200,8 +206,16 @@ class _Session:
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
                 break
+        for stream in self.streams:
+            stream.take([event for event in stream.link.receive(0.0) if event.stamp_ns <= end_ns])
+            if stream.is_waiting:
+                raise stream.never_heard(end_ns)
         if not self._tally.frames["state"]:
-            raise self._no_state()
+            raise no_state(self._tally, self._meta)
+
+    def _statistics(self, now_ns: int) -> None:
+        streams = {stream.source.name: stream.facts(now_ns) for stream in self.streams}
+        self._writer.statistics(now_ns, {**self._tally.statistics(now_ns), "streams": streams})
 
     def _take(self, events: Sequence[Event]) -> None:
         for event in events:
@@ -215,7 +229,9 @@ class _Session:
             elif event.kind == "back":
                 self._go_on_replugged(event)
             elif event.kind == "failed":
-                raise port_error(self._meta.port, event.facts)
+                raise port_error(Address("serial", self._meta.port), event.facts)
+            elif event.kind == "asked":
+                self._asked(event)
 
     def _go_on_replugged(self, event: Event) -> None:
         self._unplugged = False
@@ -240,11 +256,17 @@ class _Session:
             self._bad_since_ns = self._bad_since_ns or event.stamp_ns
         self._frames(frames)
 
+    def _asked(self, event: Event) -> None:
+        """Log a set-point that was written to the hand; its echo on the wire is none of its own."""
+        self._tally.frame(Frame("command", b"", event.stamp_ns))
+        self._writer.commands([event.stamp_ns], Commands(np.array([self._settings.poll_rad], np.float64)))
+
     def _frames(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
-            self._tally.frame(frame)
+            if frame.kind != "command" or self._settings.poll_rad is None:
+                self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
-        if commands:
+        if commands and self._settings.poll_rad is None:
             positions = self._device.commands([frame.data for frame in commands])
             self._writer.commands([frame.stamp_ns for frame in commands], positions)
         states = [frame for frame in frames if frame.kind == "state"]
@@ -286,12 +308,14 @@ class _Session:
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()
         if self._is_due("statistics", now_ns, _STATISTICS_S):
-            self._writer.statistics(now_ns, self._tally.statistics(now_ns))
+            self._statistics(now_ns)
             self._writer.sync_behind()
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             self._check_link(now_ns)
             self._check_bursts()
+            for stream in self.streams:
+                stream.check(now_ns)
         if self._is_due("show", now_ns, _SHOW_S):
             show(self._view(now_ns))
 
@@ -308,7 +332,7 @@ class _Session:
             return
         if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
             if not sum(self._tally.frames.values()):
-                raise self._no_state()
+                raise no_state(self._tally, self._meta)
             if not self._bad:
                 self._bad = True
                 self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
@@ -321,27 +345,6 @@ class _Session:
         if self._tally.in_bursts and not self._bursts:
             self._bursts = True
             self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
-
-    def _no_state(self) -> SetupError:
-        place = Where(path=self._meta.port)
-        if not self._tally.bytes:
-            return SetupError(
-                "the port gave no byte", where=place, fix="switch the hand on, start the program that drives it"
-            )
-        if self._tally.frames["command"]:
-            return SetupError(
-                "the hand gave no state",
-                found=f"{self._tally.frames['command']} requests without a reply",
-                where=place,
-                fix="switch the hand on; check that the receiver hears both directions of the pair",
-            )
-        return SetupError(
-            "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
-            expected=f"frames of {self._meta.device} at {self._meta.baud} baud",
-            found=f"{self._tally.bytes} bytes without one",
-            where=place,
-            fix="check --baud, --device and the wiring",
-        )
 
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
@@ -364,4 +367,5 @@ class _Session:
             saturated=tally.saturated(),
             gaps=tally.gaps,
             size_bytes=self._writer.size,
+            streams=tuple(stream.view(now_ns) for stream in self.streams),
         )

@@ -12,6 +12,7 @@ from candata.errors import CandataError
 from candata.record.calibration import CalibrationLimits
 
 Phase = Literal["waiting", "calibrating", "recording", "unplugged"]
+StreamPhase = Literal["waiting", "recording", "silent", "unplugged"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class RecorderSettings:
         Free space on the disk at which the recording ends.
     patience_s : float
         How long a port may be silent, or give bytes without one good frame, before it is said [s].
+    poll_rad : tuple of float, optional
+        Set-point of the joints that is written to the hand, again and again; None: nothing is ever written.
     """
 
     duration_s: float | None = None
@@ -40,6 +43,35 @@ class RecorderSettings:
     reconnect_s: float = 10.0
     reserve_bytes: int = 200_000_000
     patience_s: float = 2.0
+    poll_rad: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class StreamView:
+    """What can be seen of a stream beside the hand.
+
+    Attributes
+    ----------
+    name, phase : str
+        Its name in the log; `waiting` (no good frame yet), `recording`, `silent` or `unplugged`.
+    rate_hz, nominal_hz : float
+        Frames in the last second, and what the device gives when all is well.
+    frames, gaps : int
+        Frames so far; intervals of more than 1.5 periods.
+    losses : dict
+        What was lost, by kind.
+    silent_s : float
+        Since the last good frame [s].
+    """
+
+    name: str
+    phase: StreamPhase
+    rate_hz: float
+    nominal_hz: float
+    frames: int
+    gaps: int
+    losses: dict[str, int]
+    silent_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +94,8 @@ class RecorderView:
         Counts so far, by kind.
     gaps, size_bytes : int
         Intervals of more than 1.5 periods; size of the log.
+    streams : tuple of StreamView
+        What is recorded beside the hand.
     """
 
     phase: Phase
@@ -75,6 +109,7 @@ class RecorderView:
     saturated: dict[str, int]
     gaps: int
     size_bytes: int
+    streams: tuple[StreamView, ...] = ()
 
 
 @dataclass(frozen=True)
