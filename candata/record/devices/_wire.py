@@ -286,4 +286,4 @@ def no_frame_finding(framer: Framer, cause: str) -> tuple[str, ...]:
     counts = framer.counts
     if counts["frames"] or counts["bytes"] < MUTE_BYTES:
         return ()
-    return (f"no frame among {counts['bytes']} bytes: {cause}",)
+    return (f"no frame among the first {MUTE_BYTES} bytes: {cause}",)

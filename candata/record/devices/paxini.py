@@ -48,7 +48,7 @@ REPLY = np.dtype(
         ("tail", "u1", 4),
     ]
 )
-#: What asks for the taxels: sub-command, u16 length 5, then 7B. It has no error byte, so its data begin one byte earlier.
+#: What asks for the taxels: sub-command, u16 length 5, then 7B. Without an error byte: its data begin one earlier.
 READ, _READ_DATA = b"\xc0\x06", b"\x05\x00\x7b"
 _PREFIX, _REQUEST_BYTES = 12, 21
 #: Head to length, check byte and tail of a reply.

@@ -5,8 +5,9 @@ big-endian size u32 and time u64, state and mode u8, queued commands u16, 17 res
 Angles are radians there. Firmware 2.1 or later sends it.
 
 No public source settles what follows, so it is a setting behind the address: the unit of the time (`clock=us`; the SDK
-gives microseconds for another message), the length of a report (`bytes=any`; the SDK's structure has 804, other firmware
-may send fewer or more after the joints), and the arm's number of joints (`joints=7`; the report has room for seven).
+gives microseconds for another message), the length of a report (`bytes=any`; the SDK's structure has 804, other
+firmware may send fewer or more after the joints), and the arm's number of joints (`joints=7`; the report has room for
+seven).
 
 The report has no check sum: TCP has one. A report is believed when its length is and its joint angles, targets and
 velocities are ones that an arm can have.
