@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from candata_cli import console
+from candata_cli import console, session_options
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 _SHOW_S = 1.0
 
 _RECORD_EXAMPLE = """\b
-Example:
-  candata record-real --port /dev/ttyUSB0 --out session.mcap
+Examples:
+  candata record-real --port /dev/ttyUSB0 --out hand.mcap
+  candata record-real --port /dev/ttyUSB0 --session monday
 """
 _RECOVER_EXAMPLE = """\b
 Example:
@@ -38,11 +39,11 @@ def register(app: typer.Typer) -> None:
 @console.stoppable("nothing was recorded")
 def record_real(
     port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
-    out: Annotated[Path, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")] = None,
     device: Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")] = "xhand",
     duration: Annotated[
         float | None,
-        typer.Option("--duration", metavar="S", help="Seconds after the calibration; else until Ctrl-C."),
+        typer.Option("--duration", metavar="S", help="Seconds after the calibration, or of each of --episodes."),
     ] = None,
     no_calibrate: Annotated[bool, typer.Option("--no-calibrate", help="Do not measure a resting hand first.")] = False,
     calibrate_s: Annotated[
@@ -61,6 +62,12 @@ def record_real(
     reserve_mb: Annotated[
         int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
     ] = 200,
+    session: session_options.SessionFolder = None,
+    episodes: session_options.Episodes = None,
+    gap: session_options.Gap = None,
+    start_on_contact: session_options.StartOnContact = False,
+    threshold: session_options.Threshold = 0.3,
+    release: session_options.Release = None,
     plain_text: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
@@ -69,25 +76,41 @@ def record_real(
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
 
-    check_output(out, "new")
+    out = session_options.check_session(out, session, episodes, gap, start_on_contact)
     if duration is not None:
         _positive("duration", duration)
+    plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
     stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
-    overrides = {name: _positive(name, value) for name, value in stated_settings.items() if value is not None}
+    overrides: dict[str, Any] = {
+        name: _positive(name, value) for name, value in stated_settings.items() if value is not None
+    }
     settings = RecorderSettings(
-        duration_s=duration,
+        duration_s=whole_s,
+        contact=session_options.contact_rule(threshold, release),
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
     )
+    if session is not None:
+        overrides["session"] = session.resolve().name
     hand = device_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
+        session_options.running_session(session, plan, not (plain_text or as_json), say) as marks,
     ):
         report = record(
-            hand, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
+            hand,
+            port,
+            out,
+            name=device,
+            settings=settings,
+            overrides=overrides,
+            session=marks,
+            stop=stop,
+            show=show,
+            say=say,
         )
     if as_json:
         console.out_json(report.facts)
@@ -95,7 +118,7 @@ def record_real(
         _print_report(report.facts)
     if report.failure is not None:
         raise report.failure
-    if duration is not None and report.facts["ended"] == "stopped":
+    if whole_s is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
 
 
@@ -164,7 +187,8 @@ def _until_signal() -> Iterator[Callable[[], bool]]:
 
     def note(number: int, _frame: Any) -> None:
         came.append(number)
-        signal.signal(number, handlers[number])
+        # A signal that ends the process at once would leave the terminal without its echo.
+        signal.signal(number, signal.default_int_handler if handlers[number] == signal.SIG_DFL else handlers[number])
 
     for number in numbers:
         signal.signal(number, note)
@@ -251,6 +275,7 @@ def _print_report(facts: dict[str, Any]) -> None:
         ("unplugged", f"{len(facts['unplugs'])} times"),
         ("saturated", f"{saturation['forces']} forces, {saturation['taxels']} taxels"),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
+        *session_options.report_rows(facts),
         ("ended", facts["problem"] or facts["ended"]),
         ("sha256", facts["sha256"]),
         ("next", shlex.join(["candata", *_next_command(Path(facts["log"]))])),

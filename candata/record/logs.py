@@ -31,6 +31,8 @@ PROFILE = "candata"
 META, CALIBRATION = "candata.log", "candata.calibration"
 WIRE, JOINTS, TARGETS = "/wire", "/hand/joint_states", "/hand/joint_targets"
 FORCES, TAXELS, MOTORS, STATISTICS = "/hand/fingertip_forces", "/hand/taxels", "/hand/motor_states", "/statistics"
+#: Topic of a session's events, and their kinds.
+EVENTS, MARK, DRIFT = "/events", "mark", "drift"
 _MESSAGES = {
     WIRE: "candata.WireBytes",
     JOINTS: "foxglove.JointStates",
@@ -39,13 +41,15 @@ _MESSAGES = {
     TAXELS: "candata.TactileFrame",
     MOTORS: "candata.MotorState",
 }
+_JSON = {STATISTICS: "candata.Statistics", EVENTS: "candata.Event"}
 _CHUNK_BYTES = 64 * 1024
 
 
 class LogMeta(Record):
     """What a log says of itself, in its metadata record `candata.log`.
 
-    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from.
+    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from;
+    `session` names the session that the log is of, and is empty for a recording without marks.
     """
 
     device: str
@@ -60,6 +64,7 @@ class LogMeta(Record):
     port: str = ""
     wall_offset_ns: int = 0
     version: str = ""
+    session: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +101,8 @@ class Log:
         Chunks that could not be read and are missing here.
     read_time_ns : (k,) int64 [ns]
         When bytes were read from the port.
+    events : tuple of (int, dict)
+        What was marked in a session and when [ns], in the order in which it was written.
     """
 
     meta: LogMeta
@@ -112,23 +119,15 @@ class Log:
     torn: bool = False
     damaged_chunks: int = 0
     read_time_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    events: tuple[tuple[int, dict[str, Any]], ...] = ()
 
 
 def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
     """Return the metadata of a log of `device`, registered as `name`; `settings` replace the device's own."""
     from candata import __version__
 
-    fields = (
-        "joint_names",
-        "fingertip_names",
-        "taxels",
-        "newton_per_count",
-        "count_low",
-        "count_high",
-        "rate_hz",
-        "baud",
-    )
-    device_fields = {field: getattr(device, field) for field in fields}
+    names = "joint_names fingertip_names taxels newton_per_count count_low count_high rate_hz baud"
+    device_fields = {field: getattr(device, field) for field in names.split()}
     return LogMeta.model_validate({"device": name, "version": __version__, **device_fields, **settings})
 
 
@@ -163,8 +162,9 @@ class LogWriter:
             values = {name: json.dumps(value) for name, value in meta.model_dump(mode="json").items()}
             self._writer.add_metadata(META, values)
         self._channels = {topic: self._channel(topic, "protobuf", name) for topic, name in _MESSAGES.items()}
-        schema = self._writer.register_schema("candata.Statistics", "jsonschema", b'{"type": "object"}')
-        self._channels[STATISTICS] = self._writer.register_channel(STATISTICS, "json", schema)
+        for topic, name in _JSON.items():
+            schema = self._writer.register_schema(name, "jsonschema", b'{"type": "object"}')
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
         self.flush()
         self.sync()
 
@@ -197,6 +197,10 @@ class LogWriter:
     def statistics(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
         """Write what the recorder counted so far, as JSON."""
         self._add_bytes(STATISTICS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
+
+    def event(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
+        """Write what was marked in a session, as JSON."""
+        self._add_bytes(EVENTS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
 
     def calibration(self, calibration: Calibration) -> None:
         """Write the calibration as a metadata record, and flush."""
@@ -293,6 +297,7 @@ def read_log(path: str | Path) -> Log:
         calibration = from_metadata(_parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
         arrays = {**_states(messages, meta), **_targets(messages, meta)}
         statistics = tuple(parse_json(data, finite=False) for _, data in messages[STATISTICS].values())
+        events = tuple((time_ns, dict(parse_json(data, finite=False))) for time_ns, data in messages[EVENTS].values())
     except (KeyError, TypeError, ValueError) as error:
         raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
     with path.open("rb") as file:
@@ -305,6 +310,7 @@ def read_log(path: str | Path) -> Log:
         torn=not scan.whole,
         damaged_chunks=scan.damaged_chunks,
         read_time_ns=np.array(reads, np.int64),
+        events=events,
         **arrays,
     )
 
@@ -318,7 +324,7 @@ def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
-    messages: _Messages = {topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS)}
+    messages: _Messages = {topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS, EVENTS)}
     metadata: dict[str, Mapping[str, str]] = {}
     reads: list[int] = []
     for record in scan:

@@ -10,15 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from candata.errors import CandataError, SetupError, UsageError, Where
 from candata.record import bursts
 from candata.record.calibration import Calibration, calibrate
 from candata.record.devices._contract import Device, Frame, States
+from candata.record.drift import DriftWindow, drift_text
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.reader_link import Event, ReaderLink, port_error
-from candata.record.recorder_tally import RecorderTally, join_states
+from candata.record.recorder_tally import RecorderTally, join_states, no_state_error
 from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
+from candata.record.session_run import RunningSession
+from candata.schema.contact import fingertip_contact
 
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
@@ -31,6 +35,7 @@ def record(
     name: str,
     settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
+    session: RunningSession | None = None,
     stop: Callable[[], bool] = lambda: False,
     show: Callable[[RecorderView], None] = lambda view: None,
     say: Callable[[str], None] = lambda text: None,
@@ -51,6 +56,8 @@ def record(
         How to record.
     overrides : dict, optional
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
+    session : RunningSession, optional
+        Makes marks of episodes; it ends the recording when it is done, and a drift check follows.
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
@@ -73,16 +80,16 @@ def record(
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
-        session = _Session(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say)
+        recording = _Recording(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say, session)
         failure: CandataError | None = None
         try:
-            session.run(link, stop, show)
+            recording.run(link, stop, show)
         except CandataError as error:
             failure = error
         finally:
-            unwritten = session.close()
+            unwritten = recording.close()
     failure = failure or unwritten
-    return RecordingReport(session.facts(port, out, failure), failure)
+    return RecordingReport(recording.facts(port, out, failure), failure)
 
 
 def check_space(out: Path, reserve_bytes: int) -> None:
@@ -105,7 +112,7 @@ def check_space(out: Path, reserve_bytes: int) -> None:
         )
 
 
-class _Session:
+class _Recording:
     """A recording under way."""
 
     def __init__(
@@ -116,6 +123,7 @@ class _Session:
         settings: RecorderSettings,
         opened_ns: int,
         say: Callable[[str], None],
+        session: RunningSession | None,
     ) -> None:
         self._device, self._meta, self._writer, self._settings = device, meta, writer, settings
         self._say, self._opened_ns = say, opened_ns
@@ -127,6 +135,10 @@ class _Session:
         self._window_start_ns: int | None = None
         self._resting_ns = opened_ns  # since when the hand could be calibrated
         self._newest = np.zeros((len(meta.fingertip_names), 3))
+        self._contact = np.zeros(len(meta.fingertip_names), bool)
+        self._session, self._drift = session, DriftWindow(settings.calibrate_s)
+        if session is not None:
+            session.open(writer)
         self._unplugged = False
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
@@ -138,9 +150,11 @@ class _Session:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
         while True:
             now_ns, end_ns = time.monotonic_ns(), self._end_ns()
-            if stop() or now_ns >= end_ns:
-                self.ended = "stopped" if now_ns < end_ns else "duration"
+            is_done = self._session is not None and self._session.is_done
+            if stop() or now_ns >= end_ns or is_done:
+                self.ended = "duration" if now_ns >= end_ns else "episodes" if is_done else "stopped"
                 self._take_last(link, now_ns)
+                self._check_drift(link, show)
                 return
             self._take(link.receive(0.05))
             self._tick(show)
@@ -184,6 +198,7 @@ class _Session:
             "saturated": tally.saturated(),
             "unplugs": tally.unplugs,
             "calibrated": self._calibration is not None,
+            **(self._session.facts() if self._session is not None else {}),
             "bytes": out.stat().st_size,
             "sha256": sha256,
         }
@@ -201,7 +216,19 @@ class _Session:
             if events[-1].stamp_ns > end_ns:
                 break
         if not self._tally.frames["state"]:
-            raise self._no_state()
+            raise no_state_error(self._tally, self._meta)
+
+    def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
+        if self._session is None or self._calibration is None or self._unplugged:
+            return
+        self._say("the session is over; leave the hand at rest and untouched: the forces are checked for drift")
+        self._drift.open(time.monotonic_ns())
+        while (drift := self._drift.result(self._calibration, self._meta, self._settings.limits)) is None:
+            self._take(link.receive(0.05))
+            self._tick(show)
+        self._session.drifted(time.monotonic_ns(), drift)
+        self._say(drift_text(drift))
 
     def _take(self, events: Sequence[Event]) -> None:
         for event in events:
@@ -256,14 +283,25 @@ class _Session:
         self._writer.states(stamps_ns, states)
         self._tally.states(states)
         bias = self._calibration.force_bias_counts if self._calibration else 0.0
-        self._newest = (states.force_counts[-1] - bias) * self._meta.newton_per_count
+        force_N = (states.force_counts - bias) * self._meta.newton_per_count
+        self._newest = force_N[-1]
         if self._window is None:
+            self._touch(stamps_ns, force_N)
+            self._drift.add(stamps_ns, states)
             return
         if self._window_start_ns is None:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
         self._window.append(states)
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
             self._calibrate(join_states(self._window))
+
+    def _touch(self, stamps_ns: list[int], force_N: NDArray) -> None:
+        rule = self._settings.contact
+        flags = fingertip_contact(force_N, rule.threshold_n, rule.release_n, self._contact)
+        self._contact = flags[-1]
+        if self._session is not None and not self._drift.is_open:
+            self._session.begin(stamps_ns[0])
+            self._session.touched(stamps_ns, flags)
 
     def _calibrate(self, states: States) -> None:
         meta = self._meta
@@ -283,6 +321,8 @@ class _Session:
     def _tick(self, show: Callable[[RecorderView], None]) -> None:
         """Do what is due: flush, statistics with fsync, the view, the checks."""
         now_ns = time.monotonic_ns()
+        if self._session is not None and not self._drift.is_open:
+            self._session.tick(now_ns)
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()
         if self._is_due("statistics", now_ns, _STATISTICS_S):
@@ -308,7 +348,7 @@ class _Session:
             return
         if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
             if not sum(self._tally.frames.values()):
-                raise self._no_state()
+                raise no_state_error(self._tally, self._meta)
             if not self._bad:
                 self._bad = True
                 self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
@@ -322,27 +362,6 @@ class _Session:
             self._bursts = True
             self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
 
-    def _no_state(self) -> SetupError:
-        place = Where(path=self._meta.port)
-        if not self._tally.bytes:
-            return SetupError(
-                "the port gave no byte", where=place, fix="switch the hand on, start the program that drives it"
-            )
-        if self._tally.frames["command"]:
-            return SetupError(
-                "the hand gave no state",
-                found=f"{self._tally.frames['command']} requests without a reply",
-                where=place,
-                fix="switch the hand on; check that the receiver hears both directions of the pair",
-            )
-        return SetupError(
-            "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
-            expected=f"frames of {self._meta.device} at {self._meta.baud} baud",
-            found=f"{self._tally.bytes} bytes without one",
-            where=place,
-            fix="check --baud, --device and the wiring",
-        )
-
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
         phase: Phase = "recording"
@@ -352,16 +371,20 @@ class _Session:
             phase = "waiting"
         elif self._window is not None:
             phase = "calibrating"
+        elif self._drift.is_open:
+            phase = "checking"
         return RecorderView(
             phase=phase,
             elapsed_s=(now_ns - self._opened_ns) / 1e9,
             rate_hz=tally.recent_rate_hz(now_ns),
             nominal_hz=self._meta.rate_hz,
             force_N=self._newest,
+            contact=self._contact,
             fingertip_names=self._meta.fingertip_names,
             frames=dict(tally.frames),
             losses=tally.losses(),
             saturated=tally.saturated(),
             gaps=tally.gaps,
             size_bytes=self._writer.size,
+            session=None if self._session is None else self._session.view(now_ns),
         )

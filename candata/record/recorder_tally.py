@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import SetupError, Where
 from candata.record.bursts import Rhythm
 from candata.record.devices._contract import Frame, Framer, States
 from candata.record.logs import LogMeta
@@ -143,3 +144,26 @@ class RecorderTally:
 def join_states(parts: Sequence[States]) -> States:
     """Return several batches of states as one."""
     return States(*(np.concatenate([getattr(part, name) for part in parts]) for name in States.__dataclass_fields__))
+
+
+def no_state_error(tally: RecorderTally, meta: LogMeta) -> SetupError:
+    """Return why a port gave no state."""
+    place = Where(path=meta.port)
+    if not tally.bytes:
+        return SetupError(
+            "the port gave no byte", where=place, fix="switch the hand on, start the program that drives it"
+        )
+    if tally.frames["command"]:
+        return SetupError(
+            "the hand gave no state",
+            found=f"{tally.frames['command']} requests without a reply",
+            where=place,
+            fix="switch the hand on; check that the receiver hears both directions of the pair",
+        )
+    return SetupError(
+        "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
+        expected=f"frames of {meta.device} at {meta.baud} baud",
+        found=f"{tally.bytes} bytes without one",
+        where=place,
+        fix="check --baud, --device and the wiring",
+    )
