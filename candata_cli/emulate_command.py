@@ -97,14 +97,14 @@ def emulate(
     """
     from candata.errors import UsageError
     from candata.record import emulate_files as files
-    from candata.record.devices import device
+    from candata.record.devices import hand
     from candata.record.emulate_faults import parse_faults
     from candata.record.emulate_script import encoder_of, write_script
 
     for option, path in {"--with-table": with_table, "--truth": truth}.items():
         if path:
             check_output(path, "new", option)
-    model, fault_plan = device(device_name), parse_faults(faults)
+    model, fault_plan = hand(device_name), parse_faults(faults)
     encoder_of(device_name, model)
     _check(loop, seed, fault_plan, link)
     if episode is not None and dataset is None:

@@ -72,7 +72,7 @@ def record_real(
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
     """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
-    from candata.record.devices import device as device_named
+    from candata.record.devices import hand as hand_named
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
 
@@ -93,7 +93,7 @@ def record_real(
     )
     if session is not None:
         overrides["session"] = session.resolve().name
-    hand = device_named(device)
+    hand = hand_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
