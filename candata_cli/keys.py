@@ -53,11 +53,13 @@ def _problem() -> str:
     """Return why keys cannot be read; empty where they can."""
     try:
         terminal = sys.stdin.fileno()
-        if not os.isatty(terminal):
-            return "stdin is no terminal"
-        return "" if os.tcgetpgrp(terminal) == os.getpgrp() else "the command runs in the background"
     except (AttributeError, OSError, ValueError):
         return "stdin is closed"
+    if not os.isatty(terminal):
+        return "stdin is no terminal"
+    with suppress(OSError):  # not the terminal that the command was started from: no job control
+        return "" if os.tcgetpgrp(terminal) == os.getpgrp() else "the command runs in the background"
+    return ""
 
 
 def _read(terminal: int, pressed: queue.SimpleQueue[tuple[int, str]], ended: threading.Event) -> None:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console, session_options
+from candata_cli import record_options as options
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.record.recorder_values import RecorderView
+    from candata.record.recorder_values import RecorderView, RecordingReport
 
 _SHOW_S = 1.0
 
@@ -38,38 +39,25 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable("nothing was recorded")
 def record_real(
-    port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")] = None,
-    device: Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")] = "xhand",
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="S", help="Seconds after the calibration, or of each of --episodes."),
-    ] = None,
-    no_calibrate: Annotated[bool, typer.Option("--no-calibrate", help="Do not measure a resting hand first.")] = False,
-    calibrate_s: Annotated[
-        float, typer.Option("--calibrate-s", metavar="S", min=0.5, help="Length of the calibration.")
-    ] = 3.0,
-    newton_per_count: Annotated[
-        float | None, typer.Option("--newton-per-count", metavar="X", help="Scale of the forces; else the device's.")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="Nominal rate, to find gaps; else the device's.")
-    ] = None,
-    baud: Annotated[int | None, typer.Option("--baud", min=1, help="Baud rate; else the device's.")] = None,
-    reconnect: Annotated[
-        float, typer.Option("--reconnect", metavar="S", min=0.0, help="How long to wait for an unplugged port.")
-    ] = 10.0,
-    reserve_mb: Annotated[
-        int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
-    ] = 200,
-    session: session_options.SessionFolder = None,
-    episodes: session_options.Episodes = None,
-    gap: session_options.Gap = None,
-    start_on_contact: session_options.StartOnContact = False,
-    threshold: session_options.Threshold = 0.3,
-    release: session_options.Release = None,
-    plain_text: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
+    port: options.Port,
+    out: options.Out = None,
+    device: options.DeviceName = "xhand",
+    duration: options.Duration = None,
+    no_calibrate: options.NoCalibrate = False,
+    calibrate_s: options.CalibrateS = 3.0,
+    newton_per_count: options.NewtonPerCount = None,
+    rate: options.Rate = None,
+    baud: options.Baud = None,
+    reconnect: options.Reconnect = 10.0,
+    reserve_mb: options.ReserveMb = 200,
+    session: options.SessionFolder = None,
+    episodes: options.Episodes = None,
+    gap: options.Gap = None,
+    start_on_contact: options.StartOnContact = False,
+    threshold: options.Threshold = 0.3,
+    release: options.Release = None,
+    plain_text: options.PlainText = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
     from candata.record.devices import hand as hand_named
@@ -80,10 +68,7 @@ def record_real(
     if duration is not None:
         _positive("duration", duration)
     plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
-    stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
-    overrides: dict[str, Any] = {
-        name: _positive(name, value) for name, value in stated_settings.items() if value is not None
-    }
+    overrides = _overrides({"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}, session)
     settings = RecorderSettings(
         duration_s=whole_s,
         contact=session_options.contact_rule(threshold, release),
@@ -91,8 +76,6 @@ def record_real(
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
     )
-    if session is not None:
-        overrides["session"] = session.resolve().name
     hand = hand_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
@@ -100,25 +83,28 @@ def record_real(
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
         session_options.running_session(session, plan, not (plain_text or as_json), say) as marks,
     ):
-        report = record(
-            hand,
-            port,
-            out,
-            name=device,
-            settings=settings,
-            overrides=overrides,
-            session=marks,
-            stop=stop,
-            show=show,
-            say=say,
-        )
+        rest: dict[str, Any] = {"settings": settings, "overrides": overrides, "session": marks}
+        report = record(hand, port, out, name=device, stop=stop, show=show, say=say, **rest)
+    _tell(report, as_json, whole_s)
+
+
+def _overrides(stated_settings: dict[str, float | None], session: Path | None) -> dict[str, Any]:
+    """Return the values of the log's metadata that replace the device's own."""
+    overrides: dict[str, Any] = {
+        name: _positive(name, value) for name, value in stated_settings.items() if value is not None
+    }
+    return overrides | ({} if session is None else {"session": session.resolve().name})
+
+
+def _tell(report: RecordingReport, as_json: bool, duration_s: float | None) -> None:
+    """Print a report; raise what ended the recording before its time."""
     if as_json:
         console.out_json(report.facts)
     else:
         _print_report(report.facts)
     if report.failure is not None:
         raise report.failure
-    if whole_s is not None and report.facts["ended"] == "stopped":
+    if duration_s is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
 
 

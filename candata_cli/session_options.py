@@ -1,4 +1,4 @@
-"""Options of `record-real` that mark episodes, and what they ask for."""
+"""What the options of `record-real` that mark episodes ask for."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from candata_cli.outputs import check_output
 
@@ -16,30 +14,6 @@ if TYPE_CHECKING:
     from candata.record.session import SessionPlan
     from candata.record.session_run import RunningSession
     from candata.schema.episode import ContactRule
-
-SessionFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--session", metavar="DIR", help="Instead of --out: a new folder for a log of many episodes; by keys."
-    ),
-]
-Episodes = Annotated[
-    int | None,
-    typer.Option("--episodes", metavar="N", min=1, help="Session: end after N episodes; each lasts --duration."),
-]
-Gap = Annotated[
-    float | None,
-    typer.Option(
-        "--gap", metavar="S", min=0.0, help="Session: rest before each episode; free time that ends one by contact [1]."
-    ),
-]
-StartOnContact = Annotated[
-    bool, typer.Option("--start-on-contact", help="Session: an episode begins when a fingertip touches something.")
-]
-Threshold = Annotated[
-    float, typer.Option("--threshold", metavar="N", help="Contact is shown and begins above |Fx|+|Fy|+|Fz|.")
-]
-Release = Annotated[float | None, typer.Option("--release", metavar="N", help="Contact ends below it [the threshold].")]
 
 
 def check_session(

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from candata import align
 from candata.errors import DataError, UsageError, Where
@@ -66,6 +67,8 @@ class ImportRecipe(Record):
         Scale of the forces.
     threshold_n : float
         Contact is |Fx| + |Fy| + |Fz| above it.
+    release_n : float, optional
+        Contact ends below it; by default where the threshold is no longer exceeded.
     max_gap_periods : float
         Neighbours further apart, in periods of their stream, are the ends of a gap.
     uncalibrated : bool
@@ -80,6 +83,7 @@ class ImportRecipe(Record):
     rate_hz: Positive | None = None
     newton_per_count: Positive | None = None
     threshold_n: Positive = 0.3
+    release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
     max_gap_periods: Positive = align.MAX_GAP_PERIODS
     uncalibrated: bool = False
     scene: str | None = None
@@ -143,7 +147,7 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _align_streams(streams, grid_ns, recipe, in_bursts)
-    _add_contact(arrays, recipe.threshold_n)
+    _add_contact(arrays, recipe)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
@@ -165,7 +169,7 @@ def _meta(
 ) -> EpisodeMeta:
     """Return who, what, when."""
     scale = recipe.newton_per_count or log.meta.newton_per_count
-    forces = "fingertip_force" in names
+    rule = ContactRule(threshold_n=recipe.threshold_n, release_n=recipe.release_n, newton_per_count=scale)
     return EpisodeMeta(
         id=recipe.episode,
         source="real",
@@ -177,7 +181,7 @@ def _meta(
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
-        contact_rule=ContactRule(threshold_n=recipe.threshold_n, newton_per_count=scale) if forces else None,
+        contact_rule=rule if "fingertip_force" in names else None,
         newton_per_count=scale if "taxels" in names else None,
         alignment=_clock(log, recipe),
         invalid_counts=invalid,
@@ -185,8 +189,14 @@ def _meta(
 
 
 def _refuse(path: Path, log: Log, recipe: ImportRecipe) -> None:
-    """Refuse a log without states, and one without calibration unless it is asked for."""
+    """Refuse a log without states or (unless asked for) calibration, and a release above the threshold."""
     place = Where(path=str(path))
+    if recipe.release_n is not None and recipe.release_n > recipe.threshold_n:
+        raise UsageError(
+            "contact would end above the force at which it begins",
+            expected=f"--release of at most {recipe.threshold_n:g} N, the threshold",
+            found=f"{recipe.release_n:g} N",
+        )
     if not len(log.state_time_ns):
         raise DataError(
             "the log holds no states",
@@ -269,11 +279,11 @@ def _align_streams(
     return arrays, names
 
 
-def _add_contact(arrays: Arrays, threshold_n: float) -> None:
+def _add_contact(arrays: Arrays, recipe: ImportRecipe) -> None:
     """Add contact by the forces, valid where they are."""
     if "fingertip_force" not in arrays:
         return
-    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], threshold_n)
+    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], recipe.threshold_n, recipe.release_n)
     arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
     for name in ("fingertip_contact", "contact"):
         arrays[name + VALID_SUFFIX] = arrays["fingertip_force" + VALID_SUFFIX]
@@ -337,7 +347,7 @@ def _details(
             "before": (int(time_ns[0]) - int(states[0])) * 1e-9,
             "after": max(0.0, (int(states[-1]) - int(time_ns[-1])) * 1e-9),
         },
-        "contact_share_by_newton_per_count": _contact_shares(episode, recipe.threshold_n, scale),
+        "contact_share_by_newton_per_count": _contact_shares(episode, recipe, scale),
         "torn": log.torn,
         "damaged_chunks": log.damaged_chunks,
     }
@@ -356,13 +366,13 @@ def _saturation_counts(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
     return {name: int(at_end[:, k].sum()) for k, name in enumerate(log.meta.fingertip_names)}
 
 
-def _contact_shares(episode: Episode, threshold_n: float, scale: float) -> dict[str, float]:
+def _contact_shares(episode: Episode, recipe: ImportRecipe, scale: float) -> dict[str, float]:
     """Return the share of rows in contact if a count were worth half, as much, and twice as much."""
     if "fingertip_force" not in episode:
         return {}
     force = episode["fingertip_force"][episode.valid("fingertip_force")]
-    shares = {f"{k * scale:g}": fingertip_contact(k * force, threshold_n).any(axis=1) for k in SCALES}
-    return {label: float(flags.mean()) if len(force) else 0.0 for label, flags in shares.items()}
+    shares = {f"{k * scale:g}": fingertip_contact(k * force, recipe.threshold_n, recipe.release_n) for k in SCALES}
+    return {label: float(flags.any(axis=1).mean()) if len(force) else 0.0 for label, flags in shares.items()}
 
 
 def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:

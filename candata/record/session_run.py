@@ -165,6 +165,11 @@ def write_session_file(
     write_text(path, file.model_dump_json(indent=2) + "\n", "session file")
 
 
+def log_of(path: Path) -> Path:
+    """Return the log that a path names: the one in a session's folder, or the path itself."""
+    return path / LOG_NAME if (path / LOG_NAME).is_file() else path
+
+
 def session_of(log: Log) -> tuple[Session, DriftCheck | None]:
     """Return the session in a log, and its drift check; no marks and None where it has none.
 

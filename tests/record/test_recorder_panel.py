@@ -81,7 +81,14 @@ def test_a_session_shows_its_episodes_its_marks_and_the_keys():
     session = SessionView(episodes, ("begin (key space): episode 3",), 2.5, 20, "space begins/ends")
     view = view_of(session=session)
     text = drawn(view)
-    for words in ("episode 3 of 20: 2.5 s", "1 slip", "1 not judged", "1 discarded", "begin (key space)", "space begins"):
+    for words in (
+        "episode 3 of 20: 2.5 s",
+        "1 slip",
+        "1 not judged",
+        "1 discarded",
+        "begin (key space)",
+        "space begins",
+    ):
         assert words in text
     assert line(view).endswith("| episode 3 of 20: 2.5 s")
     assert "episode" not in line(view_of())
