@@ -16,6 +16,7 @@ from candata_cli import record_options as options
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.record.addresses import StreamSource
     from candata.record.recorder_values import RecorderView, RecordingReport
 
 _SHOW_S = 1.0
@@ -50,6 +51,11 @@ def record_real(
     baud: options.Baud = None,
     reconnect: options.Reconnect = 10.0,
     reserve_mb: options.ReserveMb = 200,
+    arm: options.Arm = None,
+    pose: options.Pose = None,
+    wrench: options.Wrench = None,
+    stream: options.Stream = None,
+    poll: options.Poll = None,
     session: options.SessionFolder = None,
     episodes: options.Episodes = None,
     gap: options.Gap = None,
@@ -59,12 +65,14 @@ def record_real(
     plain_text: options.PlainText = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
+    """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
     from candata.record.devices import hand as hand_named
+    from candata.record.poll import read_posture
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
 
     out = session_options.check_session(out, session, episodes, gap, start_on_contact)
+    hand, sources = hand_named(device), _sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])
     if duration is not None:
         _positive("duration", duration)
     plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
@@ -75,15 +83,15 @@ def record_real(
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
+        poll_rad=None if poll is None else read_posture(poll, hand),
     )
-    hand = hand_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
         session_options.running_session(session, plan, not (plain_text or as_json), say) as marks,
     ):
-        rest: dict[str, Any] = {"settings": settings, "overrides": overrides, "session": marks}
+        rest: dict[str, Any] = {"settings": settings, "overrides": overrides, "session": marks, "streams": sources}
         report = record(hand, port, out, name=device, stop=stop, show=show, say=say, **rest)
     _tell(report, as_json, whole_s)
 
@@ -106,6 +114,20 @@ def _tell(report: RecordingReport, as_json: bool, duration_s: float | None) -> N
         raise report.failure
     if duration_s is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
+
+
+#: Option of a stream to its device.
+_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
+
+
+def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
+    """Return the streams that the options name."""
+    from candata.record.addresses import parse_stream, stream_source
+
+    named = [
+        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
+    ]
+    return named + [parse_stream(text) for text in texts]
 
 
 def recover(
@@ -245,6 +267,15 @@ def _each_second() -> Callable[[RecorderView], None]:
     return show
 
 
+def _stream_text(facts: dict[str, Any]) -> str:
+    """Return what a report says of a stream."""
+    losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
+    return (
+        f"{facts['device']}: {facts['frames']} frames, {facts['rate_hz']:.2f} Hz, {facts['gaps']} gaps, the longest "
+        f"{facts['longest_gap_s'] * 1e3:.0f} ms, lost: {losses or 'nothing'}"
+    )
+
+
 def _print_report(facts: dict[str, Any]) -> None:
     """Print the report for people."""
     from candata.record.bursts import WORDS
@@ -260,6 +291,7 @@ def _print_report(facts: dict[str, Any]) -> None:
         ("lost", losses or "nothing"),
         ("unplugged", f"{len(facts['unplugs'])} times"),
         ("saturated", f"{saturation['forces']} forces, {saturation['taxels']} taxels"),
+        *((name, _stream_text(stream)) for name, stream in facts["streams"].items()),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
         *session_options.report_rows(facts),
         ("ended", facts["problem"] or facts["ended"]),

@@ -29,6 +29,19 @@ Reconnect = Annotated[
 ReserveMb = Annotated[
     int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
 ]
+Arm = Annotated[str | None, typer.Option("--arm", metavar="HOST[:PORT]", help="Arm to record too: arm=xarm@HOST.")]
+Pose = Annotated[
+    str | None, typer.Option("--pose", metavar="udp://HOST:PORT", help="Lines of poses, or tcp://HOST:PORT.")
+]
+Wrench = Annotated[str | None, typer.Option("--wrench", metavar="PORT", help="Wrist sensor, an FT300.")]
+Stream = Annotated[
+    list[str] | None,
+    typer.Option("--stream", metavar="NAME=DEVICE@ADDRESS", help="Another stream; may be repeated."),
+]
+Poll = Annotated[
+    str | None,
+    typer.Option("--poll", metavar="FILE|J1,J2,...", help="WRITES: ask the hand to hold this set-point [rad]."),
+]
 PlainText = Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")]
 #: Options that mark episodes, and when a fingertip touches.

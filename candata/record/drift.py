@@ -24,6 +24,25 @@ ROUNDING_COUNTS = 0.5
 PATIENCE_S = 10.0
 
 
+def resting_hand(states: States, duration_s: float, meta: LogMeta, limits: CalibrationLimits) -> Calibration:
+    """Return the mean reading of a window of a log in which the hand rested untouched.
+
+    Raises
+    ------
+    SetupError
+        As `calibrate`.
+    """
+    return calibrate(
+        states,
+        duration_s,
+        joint_names=meta.joint_names,
+        fingertip_names=meta.fingertip_names,
+        newton_per_count=meta.newton_per_count,
+        rate_hz=meta.rate_hz,
+        limits=limits,
+    )
+
+
 def drift_check(
     before: Calibration, states: States, duration_s: float, meta: LogMeta, limits: CalibrationLimits
 ) -> DriftCheck:
@@ -45,15 +64,7 @@ def drift_check(
         What still counts as rest; its level does not count.
     """
     try:
-        after = calibrate(
-            states,
-            duration_s,
-            joint_names=meta.joint_names,
-            fingertip_names=meta.fingertip_names,
-            newton_per_count=meta.newton_per_count,
-            rate_hz=meta.rate_hz,
-            limits=replace(limits, force_level_N=np.inf),
-        )
+        after = resting_hand(states, duration_s, meta, replace(limits, force_level_N=np.inf))
     except SetupError as error:
         return DriftCheck(problem=f"{error.problem} ({error.found})")
     change = np.abs(after.force_bias_counts - before.force_bias_counts)

@@ -27,6 +27,7 @@ from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
 from candata.record.companions import Companion, RecordedStream
+from candata.record.import_contact import add_contact, contact_shares
 from candata.record.import_streams import (
     column_order,
     gap_periods,
@@ -37,9 +38,9 @@ from candata.record.import_streams import (
     utc,
     wire_streams,
 )
+from candata.record.logged_companions import is_logged, logged_companions
 from candata.record.logs import Log
 from candata.schema.channels import VALID_SUFFIX
-from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
 from candata.schema.record import Record
 from candata.schema.scene import Positive, SceneFile
@@ -48,8 +49,6 @@ Arrays = dict[str, NDArray]
 
 #: States whose median beat the grid begins on: one late stamp must not shift it.
 BEAT_ROWS = 81
-#: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
-SCALES = (0.5, 1.0, 2.0)
 #: Largest rate of the grid as a multiple of the hand's.
 RATES = 20
 
@@ -141,13 +140,15 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     scale = recipe.newton_per_count or log.meta.newton_per_count
     in_bursts = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
     log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
-    streams, notes = merge_streams(wire_streams(log, scale), companions)
+    beside_hand, stream_notes = logged_companions(log)
+    streams, notes = merge_streams(wire_streams(log, scale), [*beside_hand, *companions])
+    notes += stream_notes
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _align_streams(streams, grid_ns, recipe, in_bursts)
-    _add_contact(arrays, recipe)
+    add_contact(arrays, recipe.threshold_n, recipe.release_n)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
@@ -229,11 +230,11 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 
 
 def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
-    """Return the times that all streams cover, after the calibration."""
+    """Return the times that all streams cover, after the calibration; one beside the hand may fall silent."""
     states = log.state_time_ns
     calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
     earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
-    end_ns = min(int(s.time_ns[-1]) for s in streams)
+    end_ns = min(int(s.time_ns[-1]) for s in streams if not is_logged(s))
     row = int(np.searchsorted(states, earliest))
     period = align.period_ns(states)
     grid_ns = np.zeros(0, np.int64)
@@ -277,16 +278,6 @@ def _align_streams(
         arrays[channel] = values if order is None else values[:, order]
         arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in sampled])
     return arrays, names
-
-
-def _add_contact(arrays: Arrays, recipe: ImportRecipe) -> None:
-    """Add contact by the forces, valid where they are."""
-    if "fingertip_force" not in arrays:
-        return
-    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], recipe.threshold_n, recipe.release_n)
-    arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
-    for name in ("fingertip_contact", "contact"):
-        arrays[name + VALID_SUFFIX] = arrays["fingertip_force" + VALID_SUFFIX]
 
 
 def _from_first_command(arrays: Arrays) -> Arrays:
@@ -347,7 +338,7 @@ def _details(
             "before": (int(time_ns[0]) - int(states[0])) * 1e-9,
             "after": max(0.0, (int(states[-1]) - int(time_ns[-1])) * 1e-9),
         },
-        "contact_share_by_newton_per_count": _contact_shares(episode, recipe, scale),
+        "contact_share_by_newton_per_count": contact_shares(episode, scale),
         "torn": log.torn,
         "damaged_chunks": log.damaged_chunks,
     }
@@ -364,15 +355,6 @@ def _saturation_counts(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
         if low < 0:
             at_end |= counts[..., axis] <= low
     return {name: int(at_end[:, k].sum()) for k, name in enumerate(log.meta.fingertip_names)}
-
-
-def _contact_shares(episode: Episode, recipe: ImportRecipe, scale: float) -> dict[str, float]:
-    """Return the share of rows in contact if a count were worth half, as much, and twice as much."""
-    if "fingertip_force" not in episode:
-        return {}
-    force = episode["fingertip_force"][episode.valid("fingertip_force")]
-    shares = {f"{k * scale:g}": fingertip_contact(k * force, recipe.threshold_n, recipe.release_n) for k in SCALES}
-    return {label: float(flags.any(axis=1).mean()) if len(force) else 0.0 for label, flags in shares.items()}
 
 
 def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:

@@ -11,7 +11,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from candata.record.recorder_values import RecorderView
+from candata.record.recorder_values import RecorderView, StreamView
 from candata.record.session_run import SessionView
 
 #: Force at which a bar is full [N].
@@ -37,6 +37,7 @@ def panel(view: RecorderView, title: str, notes: Sequence[str] = ()) -> Renderab
         f"   {_clock(view.elapsed_s)}   {view.frames['state']} states   {view.size_bytes / 1e6:.1f} MB",
     )
     parts: list[RenderableType] = [head, _rate(view), Text(), _fingertips(view), Text(), _losses(view)]
+    parts += [Text(), _streams(view.streams)] if view.streams else []
     parts += [Text(), *_session(view.session)] if view.session is not None else []
     parts += [Text(), *(Text(note, style="dim") for note in notes[-_NOTES:])] if notes else []
     return Panel(Group(*parts), title=title, subtitle="Ctrl-C ends it and finishes the file", width=78, padding=(1, 2))
@@ -48,9 +49,10 @@ def line(view: RecorderView) -> str:
         f"{name}={total:.1f}{'*' if is_touched else ''}"
         for name, total, is_touched in zip(view.fingertip_names, _total_N(view), view.contact, strict=True)
     )
+    streams = "".join(f" | {stream.name}: {_stream_text(stream)}" for stream in view.streams)
     return (
         f"{_clock(view.elapsed_s)} {view.phase}: {view.rate_hz:.0f} Hz, {view.frames['state']} states, "
-        f"{view.gaps} gaps, {_loss_text(view)}, {view.size_bytes / 1e6:.1f} MB | N: {force}"
+        f"{view.gaps} gaps, {_loss_text(view)}, {view.size_bytes / 1e6:.1f} MB | N: {force}{streams}"
         + (f" | {_episode_text(view.session)}" if view.session is not None else "")
     )
 
@@ -112,7 +114,35 @@ def _losses(view: RecorderView) -> Table:
     return table
 
 
-def _loss_text(view: RecorderView) -> str:
+def _streams(streams: Sequence[StreamView]) -> Table:
+    """Return a row for each stream beside the hand: rate, frames, gaps, losses or silence."""
+    table = Table(box=None, padding=(0, 1), show_header=True, header_style="dim")
+    for column in ("stream", "Hz", "of", "frames", "gaps", "lost"):
+        table.add_column(column, justify="left" if column in ("stream", "lost") else "right", no_wrap=True)
+    for stream in streams:
+        is_well = stream.phase == "recording" and stream.rate_hz >= 0.9 * stream.nominal_hz
+        table.add_row(
+            stream.name,
+            Text(f"{stream.rate_hz:.0f}", style="bold green" if is_well else "bold red"),
+            f"{stream.nominal_hz:.0f}",
+            str(stream.frames),
+            Text(str(stream.gaps), style="bold red" if stream.gaps else "dim"),
+            _loss_text(stream) if stream.phase == "recording" else Text(_silence_text(stream), style="bold red"),
+        )
+    return table
+
+
+def _stream_text(stream: StreamView) -> str:
+    """Return a stream in a few words of plain text."""
+    state = _loss_text(stream) if stream.phase == "recording" else _silence_text(stream)
+    return f"{stream.rate_hz:.0f} Hz, {stream.frames} frames, {stream.gaps} gaps, {state}"
+
+
+def _silence_text(stream: StreamView) -> str:
+    return f"{stream.phase} for {stream.silent_s:.1f} s"
+
+
+def _loss_text(view: RecorderView | StreamView) -> str:
     """Return the losses that happened, in words."""
     loss_texts = [f"{count} {kind.replace('_', ' ')}" for kind, count in view.losses.items() if count]
     return ", ".join(loss_texts) or "nothing lost"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,17 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import CandataError, SetupError, UsageError, Where
-from candata.record import bursts
-from candata.record.calibration import Calibration, calibrate
-from candata.record.devices._contract import Device, Frame, States
-from candata.record.drift import DriftWindow, drift_text
+from candata.record.addresses import Address, StreamSource, require_distinct
+from candata.record.calibration import Calibration
+from candata.record.devices._contract import Commands, Device, Frame, States
+from candata.record.drift import DriftWindow, drift_text, resting_hand
 from candata.record.logs import LogMeta, LogWriter, meta_of
-from candata.record.reader_link import Event, ReaderLink, port_error
-from candata.record.recorder_tally import RecorderTally, join_states, no_state_error
+from candata.record.poll import poll_of
+from candata.record.reader_link import Event, ReaderLink, port_error, wait_for_events
+from candata.record.recorder_errors import check_space, no_state, reader_died
+from candata.record.recorder_tally import RecorderTally, join_states
 from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
 from candata.record.session_run import RunningSession
+from candata.record.stream_recorder import StreamRecording, open_streams
 from candata.schema.contact import fingertip_contact
 
+_WAIT_S = 0.05
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 
@@ -36,11 +39,14 @@ def record(
     settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
     session: RunningSession | None = None,
+    streams: Sequence[StreamSource] = (),
     stop: Callable[[], bool] = lambda: False,
     show: Callable[[RecorderView], None] = lambda view: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> RecordingReport:
-    """Listen to a port until told to stop, and return the report; not one byte is written to the port.
+    """Listen to a hand and the streams beside it until told to stop, and return the report.
+
+    Not one byte is written to a port or socket unless `settings.poll_rad` is given.
 
     Parameters
     ----------
@@ -58,6 +64,8 @@ def record(
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
     session : RunningSession, optional
         Makes marks of episodes; it ends the recording when it is done, and a drift check follows.
+    streams : sequence of StreamSource
+        What is recorded beside the hand into the same log.
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
@@ -66,9 +74,10 @@ def record(
     Raises
     ------
     UsageError
-        When `out` exists.
+        When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
     SetupError
-        When the port cannot be opened, the disk is full, or pyserial is missing. Later failures are in the report.
+        When a port or address cannot be opened, the disk is full, or pyserial is missing. Later failures are in the
+        report.
     """
     settings = settings or RecorderSettings()
     if out.exists():
@@ -76,11 +85,19 @@ def record(
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
     meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
-    with ReaderLink(port, meta.baud, settings.reconnect_s) as link:
+    poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
+    require_distinct(streams)
+    address = Address("serial", port, meta.baud)
+    with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
-        recording = _Recording(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say, session)
+        writer = LogWriter(out, meta)
+        recording = _Recording(device, meta, writer, settings, open_event.stamp_ns, say, session)
+        recording.streams = [
+            StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
+            for source, stream_link, event in opened
+        ]
         failure: CandataError | None = None
         try:
             recording.run(link, stop, show)
@@ -90,26 +107,6 @@ def record(
             unwritten = recording.close()
     failure = failure or unwritten
     return RecordingReport(recording.facts(port, out, failure), failure)
-
-
-def check_space(out: Path, reserve_bytes: int) -> None:
-    """Refuse a disk with less free space than the reserve.
-
-    Raises
-    ------
-    SetupError
-        When the disk is too full.
-    """
-    folder = next(parent for parent in out.absolute().parents if parent.is_dir())
-    free = shutil.disk_usage(folder).free
-    if free < reserve_bytes:
-        raise SetupError(
-            "the disk is nearly full",
-            expected=f"{reserve_bytes / 1e6:.0f} MB free",
-            found=f"{free / 1e6:.0f} MB",
-            where=Where(path=str(out)),
-            fix="make room, choose another --out, or lower --reserve-mb",
-        )
 
 
 class _Recording:
@@ -142,9 +139,10 @@ class _Recording:
         self._unplugged = False
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
-        self._bursts = False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
+        self.streams: Sequence[StreamRecording] = ()
+        self._end_stamp_ns = opened_ns
 
     def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[RecorderView], None]) -> None:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
@@ -156,20 +154,24 @@ class _Recording:
                 self._take_last(link, now_ns)
                 self._check_drift(link, show)
                 return
-            self._take(link.receive(0.05))
+            wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
+            self._take(link.receive(0.0))
+            for stream in self.streams:
+                stream.take(stream.link.receive(0.0))
             self._tick(show)
             if link.ended:
                 raise SetupError(
                     "the reader process died",
-                    where=Where(path=link.port),
+                    where=Where(path=str(link.address)),
                     fix="the log is whole up to here; start again",
                 )
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
+        self._end_stamp_ns = time.monotonic_ns()
         try:
             if not self._writer.failed:
-                self._writer.statistics(time.monotonic_ns(), self._tally.statistics(time.monotonic_ns()))
+                self._statistics(self._end_stamp_ns)
             self._writer.close()
         except SetupError as error:
             return error
@@ -186,21 +188,13 @@ class _Recording:
             "port": port,
             "ended": "failed" if failure else self.ended,
             "problem": failure.problem if failure else None,
-            "rows": tally.frames["state"],
-            "commands": tally.frames["command"],
-            "other_frames": tally.frames["other"],
-            "duration_s": round(tally.duration_s, 6),
-            "rate_hz": round(tally.rate_hz, 3),
-            "gaps": tally.gaps,
-            "longest_gap_s": round(tally.longest_gap_s, 6),
-            "bursts": bursts.remedy(port) if tally.in_bursts else None,
-            "losses": tally.losses(),
-            "saturated": tally.saturated(),
-            "unplugs": tally.unplugs,
+            **tally.facts(port),
             "calibrated": self._calibration is not None,
             **(self._session.facts() if self._session is not None else {}),
             "bytes": out.stat().st_size,
             "sha256": sha256,
+            "polled": self._settings.poll_rad is not None,
+            "streams": {stream.source.name: stream.facts(self._end_stamp_ns) for stream in self.streams},
         }
 
     def _end_ns(self) -> float:
@@ -215,8 +209,12 @@ class _Recording:
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
                 break
+        for stream in self.streams:
+            stream.take([event for event in stream.link.receive(0.0) if event.stamp_ns <= end_ns])
+            if stream.is_waiting:
+                raise stream.never_heard(end_ns)
         if not self._tally.frames["state"]:
-            raise no_state_error(self._tally, self._meta)
+            raise no_state(self._tally, self._meta)
 
     def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
         """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
@@ -225,10 +223,23 @@ class _Recording:
         self._say("the session is over; leave the hand at rest and untouched: the forces are checked for drift")
         self._drift.open(time.monotonic_ns())
         while (drift := self._drift.result(self._calibration, self._meta, self._settings.limits)) is None:
-            self._take(link.receive(0.05))
-            self._tick(show)
+            self._receive(link, show)
         self._session.drifted(time.monotonic_ns(), drift)
         self._say(drift_text(drift))
+
+    def _receive(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Take what has come on all links, and do what is due."""
+        wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
+        self._take(link.receive(0.0))
+        for stream in self.streams:
+            stream.take(stream.link.receive(0.0))
+        self._tick(show)
+        if link.ended:
+            raise reader_died(self._meta.port)
+
+    def _statistics(self, now_ns: int) -> None:
+        streams = {stream.source.name: stream.facts(now_ns) for stream in self.streams}
+        self._writer.statistics(now_ns, {**self._tally.statistics(now_ns), "streams": streams})
 
     def _take(self, events: Sequence[Event]) -> None:
         for event in events:
@@ -242,7 +253,9 @@ class _Recording:
             elif event.kind == "back":
                 self._go_on_replugged(event)
             elif event.kind == "failed":
-                raise port_error(self._meta.port, event.facts)
+                raise port_error(Address("serial", self._meta.port), event.facts)
+            elif event.kind == "asked":
+                self._asked(event)
 
     def _go_on_replugged(self, event: Event) -> None:
         self._unplugged = False
@@ -267,11 +280,17 @@ class _Recording:
             self._bad_since_ns = self._bad_since_ns or event.stamp_ns
         self._frames(frames)
 
+    def _asked(self, event: Event) -> None:
+        """Log a set-point that was written to the hand; its echo on the wire is none of its own."""
+        self._tally.frame(Frame("command", b"", event.stamp_ns))
+        self._writer.commands([event.stamp_ns], Commands(np.array([self._settings.poll_rad], np.float64)))
+
     def _frames(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
-            self._tally.frame(frame)
+            if frame.kind != "command" or self._settings.poll_rad is None:
+                self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
-        if commands:
+        if commands and self._settings.poll_rad is None:
             positions = self._device.commands([frame.data for frame in commands])
             self._writer.commands([frame.stamp_ns for frame in commands], positions)
         states = [frame for frame in frames if frame.kind == "state"]
@@ -304,16 +323,8 @@ class _Recording:
             self._session.touched(stamps_ns, flags)
 
     def _calibrate(self, states: States) -> None:
-        meta = self._meta
-        self._calibration = calibrate(
-            states,
-            self._settings.calibrate_s,
-            joint_names=meta.joint_names,
-            fingertip_names=meta.fingertip_names,
-            newton_per_count=meta.newton_per_count,
-            rate_hz=meta.rate_hz,
-            limits=self._settings.limits,
-        )
+        settings = self._settings
+        self._calibration = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
         self._window = None
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")
@@ -326,12 +337,15 @@ class _Recording:
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()
         if self._is_due("statistics", now_ns, _STATISTICS_S):
-            self._writer.statistics(now_ns, self._tally.statistics(now_ns))
+            self._statistics(now_ns)
             self._writer.sync_behind()
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             self._check_link(now_ns)
-            self._check_bursts()
+            if note := self._tally.bursts_note(self._meta.port):
+                self._say(note)
+            for stream in self.streams:
+                stream.check(now_ns)
         if self._is_due("show", now_ns, _SHOW_S):
             show(self._view(now_ns))
 
@@ -348,19 +362,13 @@ class _Recording:
             return
         if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
             if not sum(self._tally.frames.values()):
-                raise no_state_error(self._tally, self._meta)
+                raise no_state(self._tally, self._meta)
             if not self._bad:
                 self._bad = True
                 self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
         if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
             self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
-
-    def _check_bursts(self) -> None:
-        """Say once that an adapter hands bytes over in bursts."""
-        if self._tally.in_bursts and not self._bursts:
-            self._bursts = True
-            self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
 
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
@@ -387,4 +395,5 @@ class _Recording:
             gaps=tally.gaps,
             size_bytes=self._writer.size,
             session=None if self._session is None else self._session.view(now_ns),
+            streams=tuple(stream.view(now_ns) for stream in self.streams),
         )

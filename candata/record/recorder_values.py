@@ -14,6 +14,7 @@ from candata.record.session_run import SessionView
 from candata.schema.episode import ContactRule
 
 Phase = Literal["waiting", "calibrating", "recording", "unplugged", "checking"]
+StreamPhase = Literal["waiting", "recording", "silent", "unplugged"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class RecorderSettings:
         How long a port may be silent, or give bytes without one good frame, before it is said [s].
     contact : ContactRule
         When a fingertip is shown as touching, and an episode begins by touch; its scale is not used.
+    poll_rad : tuple of float, optional
+        Set-point of the joints that is written to the hand, again and again; None: nothing is ever written.
     """
 
     duration_s: float | None = None
@@ -45,6 +48,35 @@ class RecorderSettings:
     reserve_bytes: int = 200_000_000
     patience_s: float = 2.0
     contact: ContactRule = field(default_factory=ContactRule)
+    poll_rad: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class StreamView:
+    """What can be seen of a stream beside the hand.
+
+    Attributes
+    ----------
+    name, phase : str
+        Its name in the log; `waiting` (no good frame yet), `recording`, `silent` or `unplugged`.
+    rate_hz, nominal_hz : float
+        Frames in the last second, and what the device gives when all is well.
+    frames, gaps : int
+        Frames so far; intervals of more than 1.5 periods.
+    losses : dict
+        What was lost, by kind.
+    silent_s : float
+        Since the last good frame [s].
+    """
+
+    name: str
+    phase: StreamPhase
+    rate_hz: float
+    nominal_hz: float
+    frames: int
+    gaps: int
+    losses: dict[str, int]
+    silent_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +103,8 @@ class RecorderView:
         Intervals of more than 1.5 periods; size of the log.
     session : SessionView or None
         Episodes and marks; None where no session is recorded.
+    streams : tuple of StreamView
+        What is recorded beside the hand.
     """
 
     phase: Phase
@@ -86,6 +120,7 @@ class RecorderView:
     gaps: int
     size_bytes: int
     session: SessionView | None = None
+    streams: tuple[StreamView, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from candata.datasets.writing import write_text
 from candata.errors import DataError, Where
-from candata.record.logs import DRIFT, MARK, Log, LogWriter
+from candata.record.log_messages import DRIFT, MARK
+from candata.record.logs import Log, LogWriter
 from candata.record.session import KEY_WORDS, Session, SessionPlan, Touch, due_mark, replay
 from candata.schema.record import Record
 from candata.schema.session import DriftCheck, Mark, MarkKind, MarkSource, SessionEpisode, SessionFile

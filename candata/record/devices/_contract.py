@@ -238,6 +238,8 @@ class Device(AnyDevice):
         `(frames) -> States`, `(frames) -> Commands`: whole frames of that kind, many at once.
     encoder : Encoder, optional
         Writes its frames; a device that has one can be emulated.
+    joint_limits : tuple of (low, high), optional
+        Range of each joint [rad]; a hand that has them and an encoder can be polled.
     """
 
     joint_names: tuple[str, ...]
@@ -249,6 +251,7 @@ class Device(AnyDevice):
     decode_states: Callable[[Sequence[bytes]], States]
     decode_commands: Callable[[Sequence[bytes]], Commands]
     encoder: Encoder | None = None
+    joint_limits: tuple[tuple[float, float], ...] | None = None
 
     def states(self, frames: Sequence[bytes]) -> States:
         """Return what state frames say, of the shapes that the device declares.
