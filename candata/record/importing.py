@@ -21,11 +21,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
 from candata.record.companions import Companion, RecordedStream
+from candata.record.import_contact import add_contact, contact_shares
 from candata.record.import_streams import (
     column_order,
     gap_periods,
@@ -39,7 +41,6 @@ from candata.record.import_streams import (
 from candata.record.logged_companions import is_logged, logged_companions
 from candata.record.logs import Log
 from candata.schema.channels import VALID_SUFFIX
-from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
 from candata.schema.record import Record
 from candata.schema.scene import Positive, SceneFile
@@ -48,8 +49,6 @@ Arrays = dict[str, NDArray]
 
 #: States whose median beat the grid begins on: one late stamp must not shift it.
 BEAT_ROWS = 81
-#: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
-SCALES = (0.5, 1.0, 2.0)
 #: Largest rate of the grid as a multiple of the hand's.
 RATES = 20
 
@@ -67,6 +66,8 @@ class ImportRecipe(Record):
         Scale of the forces.
     threshold_n : float
         Contact is |Fx| + |Fy| + |Fz| above it.
+    release_n : float, optional
+        Contact ends below it; by default where the threshold is no longer exceeded.
     max_gap_periods : float
         Neighbours further apart, in periods of their stream, are the ends of a gap.
     uncalibrated : bool
@@ -81,6 +82,7 @@ class ImportRecipe(Record):
     rate_hz: Positive | None = None
     newton_per_count: Positive | None = None
     threshold_n: Positive = 0.3
+    release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
     max_gap_periods: Positive = align.MAX_GAP_PERIODS
     uncalibrated: bool = False
     scene: str | None = None
@@ -146,7 +148,7 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _align_streams(streams, grid_ns, recipe, in_bursts)
-    _add_contact(arrays, recipe.threshold_n)
+    add_contact(arrays, recipe.threshold_n, recipe.release_n)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
@@ -168,7 +170,7 @@ def _meta(
 ) -> EpisodeMeta:
     """Return who, what, when."""
     scale = recipe.newton_per_count or log.meta.newton_per_count
-    forces = "fingertip_force" in names
+    rule = ContactRule(threshold_n=recipe.threshold_n, release_n=recipe.release_n, newton_per_count=scale)
     return EpisodeMeta(
         id=recipe.episode,
         source="real",
@@ -180,7 +182,7 @@ def _meta(
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
-        contact_rule=ContactRule(threshold_n=recipe.threshold_n, newton_per_count=scale) if forces else None,
+        contact_rule=rule if "fingertip_force" in names else None,
         newton_per_count=scale if "taxels" in names else None,
         alignment=_clock(log, recipe),
         invalid_counts=invalid,
@@ -188,8 +190,14 @@ def _meta(
 
 
 def _refuse(path: Path, log: Log, recipe: ImportRecipe) -> None:
-    """Refuse a log without states, and one without calibration unless it is asked for."""
+    """Refuse a log without states or (unless asked for) calibration, and a release above the threshold."""
     place = Where(path=str(path))
+    if recipe.release_n is not None and recipe.release_n > recipe.threshold_n:
+        raise UsageError(
+            "contact would end above the force at which it begins",
+            expected=f"--release of at most {recipe.threshold_n:g} N, the threshold",
+            found=f"{recipe.release_n:g} N",
+        )
     if not len(log.state_time_ns):
         raise DataError(
             "the log holds no states",
@@ -272,16 +280,6 @@ def _align_streams(
     return arrays, names
 
 
-def _add_contact(arrays: Arrays, threshold_n: float) -> None:
-    """Add contact by the forces, valid where they are."""
-    if "fingertip_force" not in arrays:
-        return
-    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], threshold_n)
-    arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
-    for name in ("fingertip_contact", "contact"):
-        arrays[name + VALID_SUFFIX] = arrays["fingertip_force" + VALID_SUFFIX]
-
-
 def _from_first_command(arrays: Arrays) -> Arrays:
     """Return the rows from the first whose command is known: nothing can be replayed before."""
     valid = arrays.get("action" + VALID_SUFFIX)
@@ -340,7 +338,7 @@ def _details(
             "before": (int(time_ns[0]) - int(states[0])) * 1e-9,
             "after": max(0.0, (int(states[-1]) - int(time_ns[-1])) * 1e-9),
         },
-        "contact_share_by_newton_per_count": _contact_shares(episode, recipe.threshold_n, scale),
+        "contact_share_by_newton_per_count": contact_shares(episode, scale),
         "torn": log.torn,
         "damaged_chunks": log.damaged_chunks,
     }
@@ -357,15 +355,6 @@ def _saturation_counts(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
         if low < 0:
             at_end |= counts[..., axis] <= low
     return {name: int(at_end[:, k].sum()) for k, name in enumerate(log.meta.fingertip_names)}
-
-
-def _contact_shares(episode: Episode, threshold_n: float, scale: float) -> dict[str, float]:
-    """Return the share of rows in contact if a count were worth half, as much, and twice as much."""
-    if "fingertip_force" not in episode:
-        return {}
-    force = episode["fingertip_force"][episode.valid("fingertip_force")]
-    shares = {f"{k * scale:g}": fingertip_contact(k * force, threshold_n).any(axis=1) for k in SCALES}
-    return {label: float(flags.mean()) if len(force) else 0.0 for label, flags in shares.items()}
 
 
 def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:
