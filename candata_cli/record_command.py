@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from candata.record.recorder_values import RecorderView, RecordingReport
 
 _SHOW_S = 1.0
+#: Option of a stream to its device.
+_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
 
 _RECORD_EXAMPLE = """\b
 Examples:
@@ -66,13 +68,14 @@ def record_real(
     as_json: options.AsJson = False,
 ) -> None:
     """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
-    from candata.record.devices import hand as hand_named
     from candata.record.poll import read_posture
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
+    from candata.record.replay import hand_source
 
     out = session_options.check_session(out, session, episodes, gap, start_on_contact)
-    hand, sources = hand_named(device), _sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])
+    hand = hand_source(device, port)
+    sources = [*hand.streams, *_sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])]
     if duration is not None:
         _positive("duration", duration)
     plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
@@ -83,7 +86,7 @@ def record_real(
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
-        poll_rad=None if poll is None else read_posture(poll, hand),
+        poll_rad=None if poll is None else read_posture(poll, hand.device),
     )
     with (
         console.stoppable(partial(_kept_text, out)),
@@ -91,8 +94,9 @@ def record_real(
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
         session_options.running_session(session, plan, not (plain_text or as_json), say) as marks,
     ):
-        rest: dict[str, Any] = {"settings": settings, "overrides": overrides, "session": marks, "streams": sources}
-        report = record(hand, port, out, name=device, stop=stop, show=show, say=say, **rest)
+        rest: dict[str, Any] = {"settings": settings, "session": marks, "streams": sources}
+        rest["overrides"] = {**hand.settings, **overrides}
+        report = record(hand.device, hand.port, out, name=hand.name, stop=stop, show=show, say=say, **rest)
     _tell(report, as_json, whole_s)
 
 
@@ -116,20 +120,6 @@ def _tell(report: RecordingReport, as_json: bool, duration_s: float | None) -> N
         raise _cut_short(report.facts)
 
 
-#: Option of a stream to its device.
-_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
-
-
-def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
-    """Return the streams that the options name."""
-    from candata.record.addresses import parse_stream, stream_source
-
-    named = [
-        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
-    ]
-    return named + [parse_stream(text) for text in texts]
-
-
 def recover(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log without an end, such as that of a killed recorder.")],
     out: Annotated[
@@ -151,6 +141,16 @@ def recover(
     console.out(f"{report.log} is {state}: {report.read_bytes} of {report.total_bytes} bytes read{damage_text}")
     console.out(f"{report.out}: {sum(report.messages.values())} messages over {report.duration_s:.2f} s")
     console.out_table(("topic", "messages"), sorted(report.messages.items()))
+
+
+def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
+    """Return the streams that the options name."""
+    from candata.record.addresses import parse_stream, stream_source
+
+    named = [
+        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
+    ]
+    return named + [parse_stream(text) for text in texts]
 
 
 def _cut_short(facts: dict[str, Any]) -> console.StoppedRun:

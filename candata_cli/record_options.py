@@ -9,7 +9,9 @@ import typer
 
 Port = Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")]
-DeviceName = Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")]
+DeviceName = Annotated[
+    str, typer.Option("--device", metavar="NAME", help="Hand on the port; `replay`: a log is played.")
+]
 Duration = Annotated[
     float | None,
     typer.Option("--duration", metavar="S", help="Seconds after the calibration, or of each of --episodes."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 def record(
     device: Device,
-    port: str,
+    port: str | Address,
     out: Path,
     *,
     name: str,
@@ -52,8 +53,8 @@ def record(
     ----------
     device : Device
         What the bytes mean.
-    port : str
-        Serial port.
+    port : str or Address
+        Serial port, or the address of a log that is played as one.
     out : Path
         Log to write; must not exist.
     name : str
@@ -76,37 +77,37 @@ def record(
     UsageError
         When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
     SetupError
-        When a port or address cannot be opened, the disk is full, or pyserial is missing. Later failures are in the
-        report.
+        When a port or address cannot be opened, the disk is full, or pyserial is missing; the report has later ones.
     """
     settings = settings or RecorderSettings()
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
-    meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
+    address = Address("serial", port) if isinstance(port, str) else port
+    meta = meta_of(device, name, **{**(overrides or {}), "port": address.place, "wall_offset_ns": offset_ns})
+    address = replace(address, baud=meta.baud)
     poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
     require_distinct(streams)
-    address = Address("serial", port, meta.baud)
     with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
         writer = LogWriter(out, meta)
         recording = _Recording(device, meta, writer, settings, open_event.stamp_ns, say, session)
-        recording.streams = [
-            StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
-            for source, stream_link, event in opened
-        ]
         failure: CandataError | None = None
         try:
+            recording.streams = [
+                StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
+                for source, stream_link, event in opened
+            ]
             recording.run(link, stop, show)
         except CandataError as error:
             failure = error
         finally:
             unwritten = recording.close()
     failure = failure or unwritten
-    return RecordingReport(recording.facts(port, out, failure), failure)
+    return RecordingReport(recording.facts(address.place, out, failure), failure)
 
 
 class _Recording:
@@ -159,12 +160,11 @@ class _Recording:
             for stream in self.streams:
                 stream.take(stream.link.receive(0.0))
             self._tick(show)
+            if link.ended and link.address.link == "log":
+                self.ended = "replayed"
+                return self._take_last(link, now_ns)
             if link.ended:
-                raise SetupError(
-                    "the reader process died",
-                    where=Where(path=str(link.address)),
-                    fix="the log is whole up to here; start again",
-                )
+                raise reader_died(str(link.address))
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""

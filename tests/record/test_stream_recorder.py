@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from candata import plugins
-from candata.errors import SetupError, UnknownNameError, UsageError
+from candata.errors import DataError, SetupError, UnknownNameError, UsageError
 from candata.record.addresses import Address, parse_stream
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import RecorderSettings
+from candata.record.replay import hand_source
 from tests.record.streams import ARM, POSE, LineServer, free_port, line, source, udp_sender
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
@@ -202,3 +203,24 @@ def test_a_set_point_beyond_a_limit_is_never_written(hand, tmp_path):
     with pytest.raises(UsageError, match=r"leaves the limits of index_bend[^$]*-0.174 .. 0.174 rad"):
         run(one.port, tmp_path / "l.mcap", poll_rad=(0.1,) * 3 + (0.5,) + (0.2,) * 8)
     assert one.heard() == b""
+
+
+def test_a_log_is_played_as_if_it_were_a_port(hand, tmp_path, rng):
+    force = rng.integers(0, 50, (40, 5, 3))
+    run(hand(force=force).port, tmp_path / "a.mcap", duration_s=0.6)
+    played = hand_source("replay", str(tmp_path / "a.mcap"))
+    report = record(
+        played.device,
+        played.port,
+        tmp_path / "b.mcap",
+        name=played.name,
+        settings=RecorderSettings(calibrate_s=0.0, reserve_bytes=0, patience_s=5.0),
+        overrides=played.settings,
+    )
+    assert report.failure is None
+    assert report.facts["ended"] == "replayed"
+    first, second = read_log(tmp_path / "a.mcap"), read_log(tmp_path / "b.mcap")
+    np.testing.assert_array_equal(first.force_counts, second.force_counts)
+    np.testing.assert_array_equal(np.diff(first.state_time_ns), np.diff(second.state_time_ns))
+    with pytest.raises(DataError, match="no such log"):
+        hand_source("replay", str(tmp_path / "none.mcap"))
