@@ -51,9 +51,7 @@ MaxGap = Annotated[
 ]
 Align = Annotated[
     str | None,
-    typer.Option(
-        "--align", metavar="stamps|clocks", help="log: `clocks` fits those beside the hand [stamps]."
-    ),
+    typer.Option("--align", metavar="stamps|clocks", help="log: `clocks` fits those beside the hand [stamps]."),
 ]
 AllowUncalibrated = Annotated[
     bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")

