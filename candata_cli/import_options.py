@@ -49,6 +49,10 @@ Release = Annotated[
 MaxGap = Annotated[
     float | None, typer.Option("--max-gap", metavar="PERIODS", help="log: readings further apart end a gap [1.5].")
 ]
+Align = Annotated[
+    str | None,
+    typer.Option("--align", metavar="stamps|clocks", help="log: `clocks` fits those beside the hand [stamps]."),
+]
 AllowUncalibrated = Annotated[
     bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")
 ]

@@ -133,6 +133,7 @@ def recover(
     if out is not None:
         check_output(out, "new")
     report = salvage(log, out)
+    session_file = session_options.restored_session(report)
     if as_json:
         console.out_json(vars(report))
         return
@@ -140,6 +141,8 @@ def recover(
     damage_text = f", {report.damaged_chunks} damaged chunks left out" if report.damaged_chunks else ""
     console.out(f"{report.log} is {state}: {report.read_bytes} of {report.total_bytes} bytes read{damage_text}")
     console.out(f"{report.out}: {sum(report.messages.values())} messages over {report.duration_s:.2f} s")
+    if session_file is not None:
+        console.out(f"{session_file}: the marks and episodes of the session")
     console.out_table(("topic", "messages"), sorted(report.messages.items()))
 
 

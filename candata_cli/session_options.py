@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.record.recover import RecoveredLog
     from candata.record.session import SessionPlan
     from candata.record.session_run import RunningSession
     from candata.schema.episode import ContactRule
@@ -121,3 +122,17 @@ def report_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     words += (f"; {discarded} discarded" if discarded else "") + (f"; {stray} marks fit no episode" if stray else "")
     drift = "not checked" if facts["drift"] is None else drift_text(DriftCheck.model_validate(facts["drift"]))
     return [("episodes", words), ("drift", drift)]
+
+
+def restored_session(report: RecoveredLog) -> Path | None:
+    """Return the session's file, written beside a recovered log; None where the log is of no session."""
+    from candata.errors import DataError
+    from candata.record.log_messages import EVENTS
+    from candata.record.session_run import restore_session_file
+
+    if EVENTS not in report.messages:
+        return None
+    try:
+        return restore_session_file(Path(report.out))
+    except DataError:  # a file of another program that has such a topic
+        return None

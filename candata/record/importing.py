@@ -17,7 +17,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,9 @@ from candata.record.import_streams import (
 )
 from candata.record.logged_companions import is_logged, logged_companions
 from candata.record.logs import Log
+from candata.record.stream_clocks import clock_notes, set_clocks
 from candata.schema.channels import VALID_SUFFIX
-from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
+from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta, StreamClock
 from candata.schema.record import Record
 from candata.schema.scene import Positive, SceneFile
 
@@ -76,6 +77,8 @@ class ImportRecipe(Record):
         Name of the scene; `roles` is what its file says.
     object, task : str, optional
         Of the episode; else what the companions say, or the scene.
+    align : str
+        `stamps`: streams beside the hand count by their stamps; `clocks`: their clocks are fitted first.
     """
 
     episode: str
@@ -89,6 +92,7 @@ class ImportRecipe(Record):
     roles: SceneFile | None = None
     object: str | None = None
     task: str | None = None
+    align: Literal["stamps", "clocks"] = Field(default="stamps", exclude_if=lambda way: way == "stamps")
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +146,8 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
     beside_hand, stream_notes = logged_companions(log)
     streams, notes = merge_streams(wire_streams(log, scale), [*beside_hand, *companions])
-    notes += stream_notes
+    streams, clocks = set_clocks(streams) if recipe.align == "clocks" else (streams, ())
+    notes += [*stream_notes, *clock_notes(clocks)]
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
@@ -153,7 +158,7 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     episode_arrays = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
-    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), episode_arrays)
+    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid, clocks), episode_arrays)
     details = _details(path, log, recipe, companions, episode, scale)
     notes += [late_note] if late_note else []
     notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if in_bursts else []
@@ -167,6 +172,7 @@ def _meta(
     names: dict[str, tuple[str, ...]],
     rate_hz: float,
     invalid: dict[str, int],
+    clocks: tuple[StreamClock, ...],
 ) -> EpisodeMeta:
     """Return who, what, when."""
     scale = recipe.newton_per_count or log.meta.newton_per_count
@@ -184,7 +190,7 @@ def _meta(
         fingertip_names=names.get("fingertip_force", ()),
         contact_rule=rule if "fingertip_force" in names else None,
         newton_per_count=scale if "taxels" in names else None,
-        alignment=_clock(log, recipe),
+        alignment=_clock(log, recipe).model_copy(update={"streams": clocks}),
         invalid_counts=invalid,
     )
 

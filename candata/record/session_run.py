@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from candata.datasets.writing import write_text
 from candata.errors import DataError, Where
 from candata.record.log_messages import DRIFT, MARK
-from candata.record.logs import Log, LogWriter
+from candata.record.logs import Log, LogWriter, read_log
 from candata.record.session import KEY_WORDS, Session, SessionPlan, Touch, due_mark, replay
 from candata.schema.record import Record
 from candata.schema.session import DriftCheck, Mark, MarkKind, MarkSource, SessionEpisode, SessionFile
@@ -164,6 +164,25 @@ def write_session_file(
         drift=drift,
     )
     write_text(path, file.model_dump_json(indent=2) + "\n", "session file")
+
+
+def restore_session_file(log_path: Path) -> Path | None:
+    """Return `NAME.json` beside a log, written anew from its events; None where the log is of no session.
+
+    Raises
+    ------
+    DataError
+        When the file is no log of candata, or an event is damaged.
+    SetupError
+        When it cannot be written.
+    """
+    log = read_log(log_path)
+    session, drift = session_of(log)
+    if not log.meta.session:
+        return None
+    path = log_path.with_suffix(".json")
+    write_session_file(path, log_path.name, log.meta.session, session.marks, drift)
+    return path
 
 
 def log_of(path: Path) -> Path:

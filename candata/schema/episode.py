@@ -36,7 +36,8 @@ class StreamClock(Record):
     `method` is `motion` (its speed against that of the hand's joints), `device_clock` (its own clock against the
     host's stamps) or `stamps` (nothing was fitted: `reason` says why). `offset_s` and `drift_ppm` were taken off its
     stamps. `correlation` is the height of the peak by which they were found, `sharpness` how far it stands above the
-    next one, `windows` in how many windows; `residual_s` is how far the windows (or the stamps) lie from the line.
+    next one, `windows` in how many windows; `residual_s` is how far the windows (or the stamps) lie from the line. By a
+    device's clock, the drift is that clock's and the offset how late the host's stamps were in the middle.
     """
 
     stream: str
