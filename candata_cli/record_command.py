@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from candata.record.recorder_values import RecorderView
 
 _SHOW_S = 1.0
+#: Option of a stream to its device.
+_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
 
 _RECORD_EXAMPLE = """\b
 Example:
@@ -40,7 +42,9 @@ def register(app: typer.Typer) -> None:
 def record_real(
     port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
     out: Annotated[Path, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")],
-    device: Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")] = "xhand",
+    device: Annotated[
+        str, typer.Option("--device", metavar="NAME", help="Hand on the port; `replay`: a log is played.")
+    ] = "xhand",
     duration: Annotated[
         float | None,
         typer.Option("--duration", metavar="S", help="Seconds after the calibration; else until Ctrl-C."),
@@ -81,13 +85,14 @@ def record_real(
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
     """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
-    from candata.record.devices import hand as hand_named
     from candata.record.poll import read_posture
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
+    from candata.record.replay import hand_source
 
     check_output(out, "new")
-    hand, sources = hand_named(device), _sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])
+    sources = _sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])
+    hand = hand_source(device, port)
     if duration is not None:
         _positive("duration", duration)
     stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
@@ -97,7 +102,7 @@ def record_real(
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
-        poll_rad=None if poll is None else read_posture(poll, hand),
+        poll_rad=None if poll is None else read_posture(poll, hand.device),
     )
     with (
         console.stoppable(partial(_kept_text, out)),
@@ -105,13 +110,13 @@ def record_real(
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
     ):
         report = record(
-            hand,
-            port,
+            hand.device,
+            hand.port,
             out,
-            name=device,
+            name=hand.name,
             settings=settings,
-            overrides=overrides,
-            streams=sources,
+            overrides={**hand.settings, **overrides},
+            streams=[*hand.streams, *sources],
             stop=stop,
             show=show,
             say=say,
@@ -124,20 +129,6 @@ def record_real(
         raise report.failure
     if duration is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
-
-
-#: Option of a stream to its device.
-_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
-
-
-def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
-    """Return the streams that the options name."""
-    from candata.record.addresses import parse_stream, stream_source
-
-    named = [
-        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
-    ]
-    return named + [parse_stream(text) for text in texts]
 
 
 def recover(
@@ -161,6 +152,16 @@ def recover(
     console.out(f"{report.log} is {state}: {report.read_bytes} of {report.total_bytes} bytes read{damage_text}")
     console.out(f"{report.out}: {sum(report.messages.values())} messages over {report.duration_s:.2f} s")
     console.out_table(("topic", "messages"), sorted(report.messages.items()))
+
+
+def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
+    """Return the streams that the options name."""
+    from candata.record.addresses import parse_stream, stream_source
+
+    named = [
+        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
+    ]
+    return named + [parse_stream(text) for text in texts]
 
 
 def _cut_short(facts: dict[str, Any]) -> console.StoppedRun:

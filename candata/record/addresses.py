@@ -31,12 +31,15 @@ class Address:
         Bits a second of a serial port; else 0.
     topic : str
         Topic of a log that holds the bytes.
+    start_ns : int
+        When the first bytes of a log are played, on the monotonic clock [ns].
     """
 
     link: Link | Literal["log"]
     place: str
     baud: int = 0
     topic: str = ""
+    start_ns: int = 0
 
     @property
     def host(self) -> str:
@@ -50,7 +53,9 @@ class Address:
 
     def __str__(self) -> str:
         """Return it as a user types it."""
-        return self.place if self.link in ("serial", "log") else f"{self.link}://{self.place}"
+        if self.link == "log":
+            return f"{self.topic} of {self.place}"
+        return self.place if self.link == "serial" else f"{self.link}://{self.place}"
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ from candata.record.import_streams import (
     utc,
     wire_streams,
 )
+from candata.record.logged_companions import is_logged, logged_companions
 from candata.record.logs import Log
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
@@ -137,7 +138,9 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     scale = recipe.newton_per_count or log.meta.newton_per_count
     in_bursts = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
     log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
-    streams, notes = merge_streams(wire_streams(log, scale), companions)
+    beside_hand, stream_notes = logged_companions(log)
+    streams, notes = merge_streams(wire_streams(log, scale), [*beside_hand, *companions])
+    notes += stream_notes
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
@@ -219,11 +222,11 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 
 
 def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
-    """Return the times that all streams cover, after the calibration."""
+    """Return the times that all streams cover, after the calibration; one beside the hand may fall silent."""
     states = log.state_time_ns
     calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
     earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
-    end_ns = min(int(s.time_ns[-1]) for s in streams)
+    end_ns = min(int(s.time_ns[-1]) for s in streams if not is_logged(s))
     row = int(np.searchsorted(states, earliest))
     period = align.period_ns(states)
     grid_ns = np.zeros(0, np.int64)

@@ -313,13 +313,13 @@ def read_log(path: str | Path) -> Log:
         raise DataError(
             "the file is no log of candata", expected=f"the metadata record {META!r}", found="none", where=place
         )
-    meta = LogMeta.parse(_parse_values(metadata[META], place), path)
+    meta = LogMeta.parse(parse_values(metadata[META], place), path)
     try:
-        calibration = from_metadata(_parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
+        calibration = from_metadata(parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
         arrays = {**state_arrays(messages, meta), **target_arrays(messages, meta)}
         statistics = tuple(parse_json(data, finite=False) for _, data in messages[STATISTICS].values())
         records = {name: values for name, values in metadata.items() if name.startswith(STREAM)}
-        metas = stream_metas({name: _parse_values(values, place) for name, values in records.items()}, place)
+        metas = stream_metas({name: parse_values(values, place) for name, values in records.items()}, place)
         streams = tuple(logged_stream(m, messages, reads.get(f"/{m.name}/wire", [])) for m in metas.values())
     except (KeyError, TypeError, ValueError) as error:
         raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
@@ -365,8 +365,14 @@ def _collect(
     return messages, metadata, reads
 
 
-def _parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
-    """Return the values of a metadata record, each of which is JSON."""
+def parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
+    """Return the values of a metadata record, each of which is JSON.
+
+    Raises
+    ------
+    DataError
+        When one is not.
+    """
     try:
         return {name: parse_json(value, finite=False) for name, value in values.items()}
     except ValueError as error:

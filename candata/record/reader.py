@@ -211,6 +211,8 @@ def reopen(settings: dict[str, Any], outlet: Outlet) -> Any:
     poll = select.poll()
     poll.register(outlet.handle, 0)
     end = time.monotonic() + settings["reconnect_s"]
+    if settings["link"] == "tcp" and poll.poll(_RETRY_S * 1000):  # a server that drops at once is not hammered
+        raise BrokenPipeError
     while time.monotonic() < end:
         try:
             port, _ = open_port(settings)

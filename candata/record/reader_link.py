@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from candata.errors import CandataError, MissingExtraError, SetupError, Where
+from candata.errors import CandataError, MissingExtraError, SetupError, UsageError, Where
 from candata.record import reader
 from candata.record.addresses import Address
 
@@ -77,7 +77,11 @@ class ReaderLink:
             When pyserial is not installed.
         SetupError
             When there is no such port, or it may not be opened.
+        UsageError
+            When there is a poll for something that is no serial port.
         """
+        if poll is not None and address.link != "serial":
+            raise UsageError("only a hand on a serial port is polled", found=str(address), fix="leave out --poll")
         if address.link == "serial":
             if importlib.util.find_spec("serial") is None:
                 raise MissingExtraError("pyserial", "record")
@@ -85,12 +89,13 @@ class ReaderLink:
         self.address, self.ended = address, False
         self._rest: bytes = b""
         self._kept: list[Event] = []
-        settings = {"link": address.link, "port": address.place, "baud": address.baud, "reconnect_s": reconnect_s}
+        settings = {**vars(address), "port": address.place, "reconnect_s": reconnect_s}
         if poll is not None:
             settings["poll"] = {"bytes": poll.frame.hex(), "rate_hz": poll.rate_hz}
         # A group of its own: neither Ctrl-C nor Ctrl-Z in the terminal stops the reading.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", str(Path(reader.__file__)), json.dumps(settings)],
+            [*_command(address), json.dumps(settings)],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)} if address.link == "log" else None,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -161,6 +166,13 @@ class ReaderLink:
             events.append(Event(_KINDS[kind], stamp_ns, data if kind == reader.DATA else b"", facts))
         self._rest = self._rest[at:]
         return events
+
+
+def _command(address: Address) -> list[str]:
+    """Return the command of the reader of an address."""
+    if address.link == "log":
+        return [sys.executable, "-P", "-m", "candata.record.replay"]
+    return [sys.executable, "-P", str(Path(reader.__file__))]
 
 
 def wait_for_events(links: Sequence[ReaderLink], timeout_s: float) -> None:

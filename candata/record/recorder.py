@@ -29,7 +29,7 @@ _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 def record(
     device: Device,
-    port: str,
+    port: str | Address,
     out: Path,
     *,
     name: str,
@@ -48,8 +48,8 @@ def record(
     ----------
     device : Device
         What the bytes mean.
-    port : str
-        Serial port.
+    port : str or Address
+        Serial port, or the address of a log that is played as one.
     out : Path
         Log to write; must not exist.
     name : str
@@ -78,10 +78,11 @@ def record(
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
-    meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
+    place = port if isinstance(port, str) else port.place
+    meta = meta_of(device, name, **{**(overrides or {}), "port": place, "wall_offset_ns": offset_ns})
     poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
     require_distinct(streams)
-    address = Address("serial", port, meta.baud)
+    address = Address("serial", port, meta.baud) if isinstance(port, str) else port
     with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
@@ -100,7 +101,7 @@ def record(
         finally:
             unwritten = session.close()
     failure = failure or unwritten
-    return RecordingReport(session.facts(port, out, failure), failure)
+    return RecordingReport(session.facts(place, out, failure), failure)
 
 
 class _Session:
@@ -147,6 +148,10 @@ class _Session:
             for stream in self.streams:
                 stream.take(stream.link.receive(0.0))
             self._tick(show)
+            if link.ended and link.address.link == "log":
+                self.ended = "replayed"
+                self._take_last(link, now_ns)
+                return
             if link.ended:
                 raise SetupError(
                     "the reader process died",

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from candata.record.panel import line, panel
-from candata.record.recorder_values import RecorderView
+from candata.record.recorder_values import RecorderView, StreamView
 
 LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0}
 
@@ -69,3 +69,18 @@ def test_losses_are_counted_in_the_panel_and_the_line():
     )
     assert "index=0.4* mid=17.0*" in line(view)
     assert "nothing lost" in line(view_of())
+
+
+def test_streams_beside_the_hand_show_their_rate_and_their_silence():
+    streams = (
+        StreamView("arm", "recording", 199.8, 200.0, 16_000, 0, {"malformed": 0}, 0.0),
+        StreamView("pose", "silent", 0.0, 15.0, 700, 3, {"malformed": 2}, 4.2),
+    )
+    view = view_of(streams=streams)
+    text = drawn(view)
+    assert "arm" in text
+    assert "200" in text
+    assert "silent for 4.2 s" in text
+    assert line(view).endswith(
+        "| arm: 200 Hz, 16000 frames, 0 gaps, nothing lost | pose: 0 Hz, 700 frames, 3 gaps, silent for 4.2 s"
+    )
