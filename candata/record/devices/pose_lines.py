@@ -49,6 +49,8 @@ NEAR_ZERO, NEAR_ONE = 0.3, 0.9
 RATE_HZ = 15.0
 #: Names of objects that are kept for people.
 MOST_OBJECTS = 8
+#: Positions are clipped to this before their length is taken: squares of larger ones overflow.
+DISTANCE_MAX = 1e9
 #: Times beyond this are none: the year 2262, where nanoseconds end [s].
 TIME_MAX_S = 9.2e9
 
@@ -101,7 +103,8 @@ class Line:
 def parse(line: bytes) -> Line | None:
     """Return what a line says, or None when it is not as documented, or its quaternion is none."""
     fields = line.split()
-    if len(fields) not in FIELDS or fields[:2] != [WORD, VERSION]:
+    # Python reads 1_0 as ten; a line does not.
+    if len(fields) not in FIELDS or fields[:2] != [WORD, VERSION] or any(b"_" in field for field in fields[4:]):
         return None
     try:
         time_s = Decimal(fields[2].decode("ascii"))
@@ -150,7 +153,7 @@ class PoseFramer(DelimitedFramer):
             self.objects.append(parsed.object_name)
         if parsed.object_name != (self.reading.object_name or self.objects[0]):
             return "other_object"
-        distance = float(np.linalg.norm(parsed.position))
+        distance = float(np.linalg.norm(np.clip(parsed.position, -DISTANCE_MAX, DISTANCE_MAX)))
         if not distance * self.reading.metres <= self.reading.reach_m:
             self.first_beyond = self.first_beyond or distance
             return "beyond_reach"
