@@ -51,11 +51,16 @@ def arm():
 
 
 def test_every_stream_stands_in_the_log_as_it_was_sent(hand, arm, tmp_path):
-    port, views = free_port(), []
+    port, views, heard = free_port(), [], []
+
+    def show(view):
+        views.append(view)
+        heard.append(arm.heard())
+
     arm_source, pose_source = source("arm", ARM, f"127.0.0.1:{arm.port}"), source("pose", POSE, f"127.0.0.1:{port}")
     one = hand()
     with udp_sender(port, 15.0, pose_line):
-        report = run(one.port, tmp_path / "l.mcap", arm_source, pose_source, duration_s=1.2, show=views.append)
+        report = run(one.port, tmp_path / "l.mcap", arm_source, pose_source, duration_s=1.2, show=show)
     assert report.failure is None
     log = read_log(tmp_path / "l.mcap")
     streams = {stream.meta.name: stream for stream in log.streams}
@@ -77,6 +82,15 @@ def test_every_stream_stands_in_the_log_as_it_was_sent(hand, arm, tmp_path):
     assert [view.name for view in views[-1].streams] == ["arm", "pose"]
     assert views[-1].streams[0].phase == "recording"
     assert one.heard() == b""
+    assert not any(heard)
+
+
+def test_a_full_disk_ends_it_with_one_error_and_a_log_that_can_be_read(hand, arm, tmp_path, file_limit):
+    report = run(hand().port, tmp_path / "l.mcap", source("arm", ARM, f"127.0.0.1:{arm.port}"), duration_s=20)
+    assert "the log cannot be written" in str(report.failure)
+    log = read_log(tmp_path / "l.mcap")
+    assert len(log.state_time_ns) > 0
+    assert len(log.streams[0].time_ns) > 0
 
 
 def test_a_stream_that_was_never_heard_is_one_error(hand, tmp_path):
