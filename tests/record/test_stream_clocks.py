@@ -65,6 +65,24 @@ def test_offset_and_drift_are_found_by_motion(late_s, drift_ppm):
     assert f"drift {clock.drift_ppm:+.0f} ppm" in note
 
 
+@pytest.mark.slow
+def test_many_recordings_are_aligned_and_none_that_share_no_motion():
+    worst_s = []
+    for seed in range(40):
+        late = tracker(
+            np.random.default_rng(seed).uniform(-0.8, 0.8), 50.0, lambda s, k=seed: motion(s, 100 + k), 60, 1e-3
+        )
+        (_, found), (clock,) = set_clocks([hand(0.0, lambda s, k=seed: motion(s, 100 + k)), late])
+        assert clock.method == "motion"
+        worst_s.append(true_s(late, found))
+    assert max(worst_s) < 0.008
+    fitted = 0
+    for seed in range(200, 500):
+        pair = [hand(0.0, lambda s, k=seed: motion(s, k)), tracker(moves=lambda s, k=seed: motion(s, 300 + k))]
+        fitted += set_clocks(pair)[1][0].method == "motion"
+    assert fitted == 0
+
+
 def periodic(seconds):
     return np.sin(6.28 * 0.7 * seconds[:, None] + np.array([0.0, 0.0, 0.0])) * [1.0, 0.5, 0.2]
 
