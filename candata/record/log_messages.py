@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,43 +11,42 @@ from numpy.typing import NDArray
 from candata.formats._mcap_messages import message
 from candata.record.log_streams import Messages
 
-if TYPE_CHECKING:
-    from candata.record.logs import LogMeta
-
 WIRE, JOINTS, TARGETS = "/wire", "/hand/joint_states", "/hand/joint_targets"
 FORCES, TAXELS, MOTORS, STATISTICS = "/hand/fingertip_forces", "/hand/taxels", "/hand/motor_states", "/statistics"
+#: Topic of a session's events, and their kinds.
+EVENTS, MARK, DRIFT = "/events", "mark", "drift"
 
 
-def state_arrays(messages: Messages, meta: LogMeta) -> dict[str, Any]:
+def state_arrays(messages: Messages, joints: int, fingertips: int, taxels: int) -> dict[str, Any]:
     """Return the arrays of the state frames of which every message was read."""
-    topics = [JOINTS, MOTORS, FORCES] + ([TAXELS] if meta.taxels else [])
+    topics = [JOINTS, MOTORS, FORCES] + ([TAXELS] if taxels else [])
     numbers = sorted(set.intersection(*(set(messages[topic]) for topic in topics)))
-    j, f, n = len(meta.joint_names), len(meta.fingertip_names), len(numbers)
+    n = len(numbers)
     data = {topic: [messages[topic][number][1] for number in numbers] for topic in topics}
     currents = [message("candata.MotorState").FromString(d).current_ampere for d in data[MOTORS]]
     counts = [message("candata.FingertipForces").FromString(d).counts for d in data[FORCES]]
-    taxels = None
-    if meta.taxels:
+    taxel_counts = None
+    if taxels:
         parse = message("candata.TactileFrame").FromString
-        taxels = np.empty((n, f, meta.taxels, 3), np.int16)  # filled row by row: they are most of a long log
-        for row, item in zip(taxels, data[TAXELS], strict=True):
+        taxel_counts = np.empty((n, fingertips, taxels, 3), np.int16)  # filled row by row: they are most of a long log
+        for row, item in zip(taxel_counts, data[TAXELS], strict=True):
             row[...] = np.frombuffer(parse(item).counts, dtype="<i2").reshape(row.shape)
     return {
         "state_time_ns": _times(messages[JOINTS], numbers),
-        "joint_position": _positions(data[JOINTS], j),
-        "motor_current": np.array(currents, dtype=np.float64).reshape(n, j),
-        "force_counts": np.array(counts, dtype=np.int16).reshape(n, f, 3),
-        "taxel_counts": taxels,
+        "joint_position": _positions(data[JOINTS], joints),
+        "motor_current": np.array(currents, dtype=np.float64).reshape(n, joints),
+        "force_counts": np.array(counts, dtype=np.int16).reshape(n, fingertips, 3),
+        "taxel_counts": taxel_counts,
     }
 
 
-def target_arrays(messages: Messages, meta: LogMeta) -> dict[str, Any]:
+def target_arrays(messages: Messages, joints: int) -> dict[str, Any]:
     """Return the arrays of the command frames."""
     numbers = sorted(messages[TARGETS])
     data = [messages[TARGETS][number][1] for number in numbers]
     return {
         "command_time_ns": _times(messages[TARGETS], numbers),
-        "joint_target": _positions(data, len(meta.joint_names)),
+        "joint_target": _positions(data, joints),
     }
 
 

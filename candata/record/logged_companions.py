@@ -62,7 +62,7 @@ def _recorded(stream: LoggedStream, signal: SignalMeta, notes: list[str]) -> Rec
         if bad_rows:
             notes.append(f"/{stream.meta.name}: {bad_rows} poses without a unit quaternion are taken for gaps")
     time_ns = np.maximum.accumulate(stream.time_ns) if len(stream.time_ns) else stream.time_ns
-    return RecordedStream(channel, signal.names, time_ns, values, f"/{stream.meta.name}")
+    return RecordedStream(channel, signal.names, time_ns, values, f"/{stream.meta.name}", stream.device_time_ns)
 
 
 def _mend_quaternions(poses: NDArray[np.float64]) -> int:

@@ -24,6 +24,7 @@ from candata.formats._mcap_scan import Scan
 from candata.record.calibration import Calibration, from_metadata, to_metadata
 from candata.record.devices._contract import Commands, Device, States
 from candata.record.log_messages import (
+    EVENTS,
     FORCES,
     JOINTS,
     MOTORS,
@@ -49,13 +50,15 @@ _MESSAGES = {
     TAXELS: "candata.TactileFrame",
     MOTORS: "candata.MotorState",
 }
+_JSON = {STATISTICS: "candata.Statistics", EVENTS: "candata.Event"}
 _CHUNK_BYTES = 64 * 1024
 
 
 class LogMeta(Record):
     """What a log says of itself, in its metadata record `candata.log`.
 
-    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from.
+    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from;
+    `session` names the session that the log is of, and is empty for a recording without marks.
     """
 
     device: str
@@ -70,6 +73,7 @@ class LogMeta(Record):
     port: str = ""
     wall_offset_ns: int = 0
     version: str = ""
+    session: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +110,8 @@ class Log:
         Chunks that could not be read and are missing here.
     read_time_ns : (k,) int64 [ns]
         When bytes were read from the port.
+    events : tuple of (int, dict)
+        What was marked in a session and when [ns], in the order in which it was written.
     streams : tuple of LoggedStream
         What was recorded beside the hand, raw, in the order in which it was opened.
     """
@@ -124,6 +130,7 @@ class Log:
     torn: bool = False
     damaged_chunks: int = 0
     read_time_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    events: tuple[tuple[int, dict[str, Any]], ...] = ()
     streams: tuple[LoggedStream, ...] = ()
 
 
@@ -131,17 +138,8 @@ def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
     """Return the metadata of a log of `device`, registered as `name`; `settings` replace the device's own."""
     from candata import __version__
 
-    fields = (
-        "joint_names",
-        "fingertip_names",
-        "taxels",
-        "newton_per_count",
-        "count_low",
-        "count_high",
-        "rate_hz",
-        "baud",
-    )
-    device_fields = {field: getattr(device, field) for field in fields}
+    names = "joint_names fingertip_names taxels newton_per_count count_low count_high rate_hz baud"
+    device_fields = {field: getattr(device, field) for field in names.split()}
     return LogMeta.model_validate({"device": name, "version": __version__, **device_fields, **settings})
 
 
@@ -175,8 +173,9 @@ class LogWriter:
             self._writer.start(PROFILE, library=f"candata {meta.version}")
         self.metadata(META, meta.model_dump(mode="json"))
         self._channels = {topic: self._channel(topic, "protobuf", name) for topic, name in _MESSAGES.items()}
-        schema = self._writer.register_schema("candata.Statistics", "jsonschema", b'{"type": "object"}')
-        self._channels[STATISTICS] = self._writer.register_channel(STATISTICS, "json", schema)
+        for topic, name in _JSON.items():
+            schema = self._writer.register_schema(name, "jsonschema", b'{"type": "object"}')
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
         self.flush()
         self.sync()
 
@@ -209,6 +208,10 @@ class LogWriter:
     def statistics(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
         """Write what the recorder counted so far, as JSON."""
         self._add_bytes(STATISTICS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
+
+    def event(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
+        """Write what was marked in a session, as JSON."""
+        self._add_bytes(EVENTS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
 
     def calibration(self, calibration: Calibration) -> None:
         """Write the calibration as a metadata record, and flush."""
@@ -316,8 +319,10 @@ def read_log(path: str | Path) -> Log:
     meta = LogMeta.parse(parse_values(metadata[META], place), path)
     try:
         calibration = from_metadata(parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
-        arrays = {**state_arrays(messages, meta), **target_arrays(messages, meta)}
+        joints, fingertips = len(meta.joint_names), len(meta.fingertip_names)
+        arrays = state_arrays(messages, joints, fingertips, meta.taxels) | target_arrays(messages, joints)
         statistics = tuple(parse_json(data, finite=False) for _, data in messages[STATISTICS].values())
+        events = tuple((time_ns, dict(parse_json(data, finite=False))) for time_ns, data in messages[EVENTS].values())
         records = {name: values for name, values in metadata.items() if name.startswith(STREAM)}
         metas = stream_metas({name: parse_values(values, place) for name, values in records.items()}, place)
         streams = tuple(logged_stream(m, messages, reads.get(f"/{m.name}/wire", [])) for m in metas.values())
@@ -334,6 +339,7 @@ def read_log(path: str | Path) -> Log:
         damaged_chunks=scan.damaged_chunks,
         read_time_ns=np.array(reads.get(WIRE, []), np.int64),
         streams=streams,
+        events=events,
         **arrays,
     )
 
@@ -346,7 +352,7 @@ def _collect(
 
     topics: dict[int, str] = {}
     messages: dict[str, dict[int, tuple[int, bytes]]] = {
-        topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS)
+        topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS, EVENTS)
     }
     metadata: dict[str, Mapping[str, str]] = {}
     reads: dict[str, list[int]] = {}

@@ -92,8 +92,7 @@ def main(arguments: list[str]) -> int:
     `poll` is absent, or the hexadecimal bytes to write and how often: `{"bytes", "rate_hz"}`. Returns an exit code.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+    _go_ahead_of_others()
     settings = json.loads(arguments[1])
     outlet = Outlet(sys.stdout.fileno())
     try:
@@ -110,6 +109,14 @@ def main(arguments: list[str]) -> int:
         outlet.tell(EVENT_FAILED, reason="open", found=str(error), errno=getattr(error, "errno", None))
     outlet.finish()
     return 0
+
+
+def _go_ahead_of_others() -> None:
+    """Be scheduled before all ordinary processes where the user may, or at least more often; stamps are late else."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+    with suppress(OSError, AttributeError):  # not on macOS
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
 def open_port(settings: dict[str, Any]) -> tuple[Any, str | None]:

@@ -211,7 +211,7 @@ def port_error(address: Address, facts: dict[str, Any]) -> CandataError:
     if address.link != "serial":
         return _network_error(address, code, reason)
     if code == errno.ENOENT:
-        return SetupError("no such port", found=_ports_seen(), where=place, fix="plug it in, or give another --port")
+        return SetupError("no such port", found=_ports_seen(), where=place, fix="plug it in, or give another port")
     if code == errno.ENOTTY:
         return SetupError(
             "not a serial port", found=_ports_seen(), where=place, fix="give a serial port, such as /dev/ttyUSB0"
@@ -228,7 +228,7 @@ def port_error(address: Address, facts: dict[str, Any]) -> CandataError:
         "the port cannot be opened",
         found=reason,
         where=place,
-        fix="end the program that holds it, or give another --port",
+        fix="end the program that holds it, or give another port",
     )
 
 

@@ -5,23 +5,27 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from candata.errors import CandataError, SetupError, UsageError, Where
-from candata.record import bursts
 from candata.record.addresses import Address, StreamSource, require_distinct
-from candata.record.calibration import Calibration, calibrate
+from candata.record.calibration import Calibration
 from candata.record.devices._contract import Commands, Device, Frame, States
+from candata.record.drift import DriftWindow, drift_text, resting_hand
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.poll import poll_of
 from candata.record.reader_link import Event, ReaderLink, port_error, wait_for_events
-from candata.record.recorder_errors import check_space, no_state
+from candata.record.recorder_errors import check_space, no_state, reader_died
 from candata.record.recorder_tally import RecorderTally, join_states
 from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
+from candata.record.session_run import RunningSession
 from candata.record.stream_recorder import StreamRecording, open_streams
+from candata.schema.contact import fingertip_contact
 
 _WAIT_S = 0.05
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
@@ -35,6 +39,7 @@ def record(
     name: str,
     settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
+    session: RunningSession | None = None,
     streams: Sequence[StreamSource] = (),
     stop: Callable[[], bool] = lambda: False,
     show: Callable[[RecorderView], None] = lambda view: None,
@@ -58,6 +63,8 @@ def record(
         How to record.
     overrides : dict, optional
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
+    session : RunningSession, optional
+        Makes marks of episodes; it ends the recording when it is done, and a drift check follows.
     streams : sequence of StreamSource
         What is recorded beside the hand into the same log.
     stop : callable
@@ -70,41 +77,40 @@ def record(
     UsageError
         When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
     SetupError
-        When a port or address cannot be opened, the disk is full, or pyserial is missing. Later failures are in the
-        report.
+        When a port or address cannot be opened, the disk is full, or pyserial is missing; the report has later ones.
     """
     settings = settings or RecorderSettings()
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
-    place = port if isinstance(port, str) else port.place
-    meta = meta_of(device, name, **{**(overrides or {}), "port": place, "wall_offset_ns": offset_ns})
+    address = Address("serial", port) if isinstance(port, str) else port
+    meta = meta_of(device, name, **{**(overrides or {}), "port": address.place, "wall_offset_ns": offset_ns})
+    address = replace(address, baud=meta.baud)
     poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
     require_distinct(streams)
-    address = Address("serial", port, meta.baud) if isinstance(port, str) else port
     with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
         writer = LogWriter(out, meta)
-        session = _Session(device, meta, writer, settings, open_event.stamp_ns, say)
-        session.streams = [
-            StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
-            for source, stream_link, event in opened
-        ]
+        recording = _Recording(device, meta, writer, settings, open_event.stamp_ns, say, session)
         failure: CandataError | None = None
         try:
-            session.run(link, stop, show)
+            recording.streams = [
+                StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
+                for source, stream_link, event in opened
+            ]
+            recording.run(link, stop, show)
         except CandataError as error:
             failure = error
         finally:
-            unwritten = session.close()
+            unwritten = recording.close()
     failure = failure or unwritten
-    return RecordingReport(session.facts(place, out, failure), failure)
+    return RecordingReport(recording.facts(address.place, out, failure), failure)
 
 
-class _Session:
+class _Recording:
     """A recording under way."""
 
     def __init__(
@@ -115,6 +121,7 @@ class _Session:
         settings: RecorderSettings,
         opened_ns: int,
         say: Callable[[str], None],
+        session: RunningSession | None,
     ) -> None:
         self._device, self._meta, self._writer, self._settings = device, meta, writer, settings
         self._say, self._opened_ns = say, opened_ns
@@ -126,10 +133,13 @@ class _Session:
         self._window_start_ns: int | None = None
         self._resting_ns = opened_ns  # since when the hand could be calibrated
         self._newest = np.zeros((len(meta.fingertip_names), 3))
+        self._contact = np.zeros(len(meta.fingertip_names), bool)
+        self._session, self._drift = session, DriftWindow(settings.calibrate_s)
+        if session is not None:
+            session.open(writer)
         self._unplugged = False
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
-        self._bursts = False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
         self.streams: Sequence[StreamRecording] = ()
@@ -139,9 +149,11 @@ class _Session:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
         while True:
             now_ns, end_ns = time.monotonic_ns(), self._end_ns()
-            if stop() or now_ns >= end_ns:
-                self.ended = "stopped" if now_ns < end_ns else "duration"
+            is_done = self._session is not None and self._session.is_done
+            if stop() or now_ns >= end_ns or is_done:
+                self.ended = "duration" if now_ns >= end_ns else "episodes" if is_done else "stopped"
                 self._take_last(link, now_ns)
+                self._check_drift(link, show)
                 return
             wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
             self._take(link.receive(0.0))
@@ -150,14 +162,9 @@ class _Session:
             self._tick(show)
             if link.ended and link.address.link == "log":
                 self.ended = "replayed"
-                self._take_last(link, now_ns)
-                return
+                return self._take_last(link, now_ns)
             if link.ended:
-                raise SetupError(
-                    "the reader process died",
-                    where=Where(path=str(link.address)),
-                    fix="the log is whole up to here; start again",
-                )
+                raise reader_died(str(link.address))
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
@@ -181,18 +188,9 @@ class _Session:
             "port": port,
             "ended": "failed" if failure else self.ended,
             "problem": failure.problem if failure else None,
-            "rows": tally.frames["state"],
-            "commands": tally.frames["command"],
-            "other_frames": tally.frames["other"],
-            "duration_s": round(tally.duration_s, 6),
-            "rate_hz": round(tally.rate_hz, 3),
-            "gaps": tally.gaps,
-            "longest_gap_s": round(tally.longest_gap_s, 6),
-            "bursts": bursts.remedy(port) if tally.in_bursts else None,
-            "losses": tally.losses(),
-            "saturated": tally.saturated(),
-            "unplugs": tally.unplugs,
+            **tally.facts(port),
             "calibrated": self._calibration is not None,
+            **(self._session.facts() if self._session is not None else {}),
             "bytes": out.stat().st_size,
             "sha256": sha256,
             "polled": self._settings.poll_rad is not None,
@@ -217,6 +215,27 @@ class _Session:
                 raise stream.never_heard(end_ns)
         if not self._tally.frames["state"]:
             raise no_state(self._tally, self._meta)
+
+    def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
+        if self._session is None or self._calibration is None or self._unplugged:
+            return
+        self._say("the session is over; leave the hand at rest and untouched: the forces are checked for drift")
+        self._drift.open(time.monotonic_ns())
+        while (drift := self._drift.result(self._calibration, self._meta, self._settings.limits)) is None:
+            self._receive(link, show)
+        self._session.drifted(time.monotonic_ns(), drift)
+        self._say(drift_text(drift))
+
+    def _receive(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Take what has come on all links, and do what is due."""
+        wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
+        self._take(link.receive(0.0))
+        for stream in self.streams:
+            stream.take(stream.link.receive(0.0))
+        self._tick(show)
+        if link.ended:
+            raise reader_died(self._meta.port)
 
     def _statistics(self, now_ns: int) -> None:
         streams = {stream.source.name: stream.facts(now_ns) for stream in self.streams}
@@ -283,8 +302,11 @@ class _Session:
         self._writer.states(stamps_ns, states)
         self._tally.states(states)
         bias = self._calibration.force_bias_counts if self._calibration else 0.0
-        self._newest = (states.force_counts[-1] - bias) * self._meta.newton_per_count
+        force_N = (states.force_counts - bias) * self._meta.newton_per_count
+        self._newest = force_N[-1]
         if self._window is None:
+            self._touch(stamps_ns, force_N)
+            self._drift.add(stamps_ns, states)
             return
         if self._window_start_ns is None:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
@@ -292,17 +314,17 @@ class _Session:
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
             self._calibrate(join_states(self._window))
 
+    def _touch(self, stamps_ns: list[int], force_N: NDArray) -> None:
+        rule = self._settings.contact
+        flags = fingertip_contact(force_N, rule.threshold_n, rule.release_n, self._contact)
+        self._contact = flags[-1]
+        if self._session is not None and not self._drift.is_open:
+            self._session.begin(stamps_ns[0])
+            self._session.touched(stamps_ns, flags)
+
     def _calibrate(self, states: States) -> None:
-        meta = self._meta
-        self._calibration = calibrate(
-            states,
-            self._settings.calibrate_s,
-            joint_names=meta.joint_names,
-            fingertip_names=meta.fingertip_names,
-            newton_per_count=meta.newton_per_count,
-            rate_hz=meta.rate_hz,
-            limits=self._settings.limits,
-        )
+        settings = self._settings
+        self._calibration = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
         self._window = None
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")
@@ -310,6 +332,8 @@ class _Session:
     def _tick(self, show: Callable[[RecorderView], None]) -> None:
         """Do what is due: flush, statistics with fsync, the view, the checks."""
         now_ns = time.monotonic_ns()
+        if self._session is not None and not self._drift.is_open:
+            self._session.tick(now_ns)
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()
         if self._is_due("statistics", now_ns, _STATISTICS_S):
@@ -318,7 +342,8 @@ class _Session:
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             self._check_link(now_ns)
-            self._check_bursts()
+            if note := self._tally.bursts_note(self._meta.port):
+                self._say(note)
             for stream in self.streams:
                 stream.check(now_ns)
         if self._is_due("show", now_ns, _SHOW_S):
@@ -345,12 +370,6 @@ class _Session:
             self._silent = True
             self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
 
-    def _check_bursts(self) -> None:
-        """Say once that an adapter hands bytes over in bursts."""
-        if self._tally.in_bursts and not self._bursts:
-            self._bursts = True
-            self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
-
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
         phase: Phase = "recording"
@@ -360,17 +379,21 @@ class _Session:
             phase = "waiting"
         elif self._window is not None:
             phase = "calibrating"
+        elif self._drift.is_open:
+            phase = "checking"
         return RecorderView(
             phase=phase,
             elapsed_s=(now_ns - self._opened_ns) / 1e9,
             rate_hz=tally.recent_rate_hz(now_ns),
             nominal_hz=self._meta.rate_hz,
             force_N=self._newest,
+            contact=self._contact,
             fingertip_names=self._meta.fingertip_names,
             frames=dict(tally.frames),
             losses=tally.losses(),
             saturated=tally.saturated(),
             gaps=tally.gaps,
             size_bytes=self._writer.size,
+            session=None if self._session is None else self._session.view(now_ns),
             streams=tuple(stream.view(now_ns) for stream in self.streams),
         )

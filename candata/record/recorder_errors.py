@@ -51,3 +51,8 @@ def no_state(tally: RecorderTally, meta: LogMeta) -> SetupError:
         where=place,
         fix="check --baud, --device and the wiring",
     )
+
+
+def reader_died(port: str) -> SetupError:
+    """Return that the process that reads a port is gone."""
+    return SetupError("the reader process died", where=Where(path=port), fix="the log is whole up to here; start again")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.record.bursts import Rhythm
+from candata.record import bursts
 from candata.record.devices._contract import Frame, Framer, States
 from candata.record.logs import LogMeta
 
@@ -85,6 +85,7 @@ class RecorderTally(Beat):
         self.unanswered = 0
         self.saturated_forces, self.saturated_taxels = 0, 0
         self.unplugs: list[dict[str, int | None]] = []
+        self._bursts_told = False
         self._offset_ns = meta.wall_offset_ns
         # Zero at the end of an unsigned axis is rest, not saturation: only what lies beyond zero tells.
         self._low = np.array([low if low < 0 else np.iinfo(np.int16).min for low in meta.count_low])
@@ -92,7 +93,7 @@ class RecorderTally(Beat):
         self._past = dict.fromkeys(_LOSSES, 0)
         self._framer: Framer | None = None
         self._asked = False
-        self._rhythm = Rhythm()
+        self._rhythm = bursts.Rhythm()
         self._nominal_hz = meta.rate_hz
 
     @property
@@ -135,6 +136,29 @@ class RecorderTally(Beat):
     def losses(self) -> dict[str, int]:
         """Return what was lost on the wire, by kind."""
         return {**self._losses(), "requests_without_reply": self.unanswered}
+
+    def bursts_note(self, port: str) -> str:
+        """Return, once, that an adapter hands bytes over in bursts; else nothing."""
+        if self._bursts_told or not self.in_bursts:
+            return ""
+        self._bursts_told = True
+        return f"bytes {bursts.WORDS}; do: {bursts.remedy(port)}"
+
+    def facts(self, port: str) -> dict[str, Any]:
+        """Return what was counted, as plain data for the report."""
+        return {
+            "rows": self.frames["state"],
+            "commands": self.frames["command"],
+            "other_frames": self.frames["other"],
+            "duration_s": round(self.duration_s, 6),
+            "rate_hz": round(self.rate_hz, 3),
+            "gaps": self.gaps,
+            "longest_gap_s": round(self.longest_gap_s, 6),
+            "bursts": bursts.remedy(port) if self.in_bursts else None,
+            "losses": self.losses(),
+            "saturated": self.saturated(),
+            "unplugs": self.unplugs,
+        }
 
     def statistics(self, now_ns: int) -> dict[str, Any]:
         """Return what the statistics channel says each second; times in it are unix nanoseconds but for `clock`."""

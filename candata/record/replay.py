@@ -6,7 +6,6 @@ log's, and ends with the log.
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import time
@@ -24,6 +23,7 @@ from candata.record.devices import Device, hand, stream
 from candata.record.log_messages import WIRE
 from candata.record.log_streams import STREAM, StreamMeta, stream_metas
 from candata.record.logs import META, LogMeta, parse_values
+from candata.schema.json_text import parse_json
 
 #: What `--device` calls it.
 REPLAY = "replay"
@@ -121,7 +121,7 @@ def wire_reads(path: Path, topic: str) -> Iterator[tuple[int, bytes]]:
 def main(arguments: list[str]) -> int:
     """Play the topic of `{"port", "topic", "start_ns"}` to standard output; return an exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    settings = json.loads(arguments[1])
+    settings = parse_json(arguments[1].encode(), finite=True)
     outlet = reader.Outlet(sys.stdout.fileno())
     try:
         outlet.tell(reader.EVENT_OPENED, note=None)

@@ -141,6 +141,13 @@ class LineServer:
             self.senders.append(Sender(client.sendall, self._rate_hz, self._line_of))
             self.senders[-1].start()
 
+    def heard(self) -> bytes:
+        """What the newest client wrote."""
+        try:
+            return self._clients[-1].recv(1000, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return b""
+
     def drop(self) -> None:
         client = self._clients[-1]
         client.shutdown(socket.SHUT_RDWR)
