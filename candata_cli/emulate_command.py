@@ -129,17 +129,12 @@ def emulate(
     for option, path in {"--with-table": with_table, "--truth": truth}.items():
         if path:
             check_output(path, "new", option)
-    is_session = device_name == "session"
-    hand_name = session.HAND if is_session else device_name
+    if episode is not None and dataset is None:
+        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
+    hand_name, scene_name, folder = session.place(device_name, scene, link, hold=hold, streams=streams, ports=ports)
     model, fault_plan = hand(hand_name), parse_faults(faults)
     encoder_of(hand_name, model)
     _check(loop, seed, fault_plan, link)
-    folder = session.check_session(link, hold, ports) if is_session else None
-    if not is_session and (streams or ports):
-        raise UsageError("--streams and --ports are options of a session", fix="emulate session, or leave them out")
-    scene_name = scene or (session.SCENE if is_session else "xhand_tabletop")
-    if episode is not None and dataset is None:
-        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
     episode_played = (
         _stored_episode(dataset, episode) if dataset else _simulated_episode(scene_name, policy, seed, duration_s)
     )

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from candata.record.emulate_session import SentStream
     from candata.schema.episode import Episode
 
-#: The hand of a session, and the scene in which it hangs on an arm.
-HAND, SCENE = "xhand", "xarm7_xhand"
+#: The word in place of a device's name, the hand of a session, and the scene in which it hangs on an arm.
+SESSION, HAND, SCENE = "session", "xhand", "xarm7_xhand"
+#: The scene of a hand alone.
+HAND_SCENE = "xhand_tabletop"
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,26 @@ class Beside:
     reports: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def check_session(link: Path | None, hold: bool, ports: int) -> Path:
+def place(
+    device_name: str, scene: str | None, link: Path | None, *, hold: bool, streams: str, ports: int
+) -> tuple[str, str, Path | None]:
+    """Return the hand, its scene, and the folder of the ports, None where a hand is emulated alone.
+
+    Raises
+    ------
+    UsageError, SetupError
+        When an option means nothing, or the folder cannot be made.
+    """
+    from candata.errors import UsageError
+
+    if device_name == SESSION:
+        return HAND, scene or SCENE, _folder(link, hold, ports)
+    if streams or ports:
+        raise UsageError("--streams and --ports are options of a session", fix="emulate session, or leave them out")
+    return device_name, scene or HAND_SCENE, None
+
+
+def _folder(link: Path | None, hold: bool, ports: int) -> Path:
     """Return the folder of the ports, made where it was not.
 
     Raises

@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 from candata import units
 from candata.errors import CandataError, DataError
 from candata.record.devices._contract import Signal
+from candata.schema.json_text import parse_json
+from candata.schema.text_bounds import TextError
 
 VERSION, HELLO, DATA = 1, 0, 1
 DELIMITER = b"\0"
@@ -150,12 +152,12 @@ def read_hello(body: bytes) -> Hello:
     """
     text = body[2:]
     try:
-        content = json.loads(text)
+        content = parse_json(text)
         signals = tuple(_signal(row) for row in content["signals"])
         rate_hz = float(content["rate_hz"])
     except DataError:
         raise
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
+    except (TextError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise DataError("the hello is not as documented", found=f"{type(error).__name__}: {error}") from None
     names = [signal.name for signal in signals]
     hello = Hello(signals, rate_hz, text)
