@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
+from candata_cli import emulate_session as session
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
@@ -24,10 +25,21 @@ _EXAMPLE = """\b
 An example, in two terminals:
   candata emulate xhand --link /tmp/hand --with-table poses/poses.parquet
   candata record-real --port /tmp/hand --out hand.mcap
+
+\b
+With an arm, a tracker, a wrist sensor, a fingertip and a board beside it; it prints the line that records all:
+  candata emulate session --link /tmp/ports
 """
 
-DeviceName = Annotated[str, typer.Argument(metavar="DEVICE", help="Device to stand in for, such as xhand.")]
-SceneName = Annotated[str, typer.Option("--scene", metavar="SCENE", help="Scene in which an episode is simulated.")]
+DeviceName = Annotated[
+    str, typer.Argument(metavar="DEVICE", help="Hand to stand in for, such as xhand; session: it and all beside it.")
+]
+SceneName = Annotated[
+    str | None,
+    typer.Option(
+        "--scene", metavar="SCENE", help="Scene that is simulated; by default xhand_tabletop, of a session xarm7_xhand."
+    ),
+]
 PolicyName = Annotated[
     str | None, typer.Option("--policy", metavar="NAME", help="Its motion; the scene's first by default.")
 ]
@@ -44,7 +56,18 @@ RestSeconds = Annotated[
     float, typer.Option("--still", metavar="S", help="First row held before, untouched: for calibration.")
 ]
 Scale = Annotated[float | None, typer.Option("--newton-per-count", metavar="N", help="Scale; the device's by default.")]
-Link = Annotated[Path | None, typer.Option("--link", metavar="PATH", help="Symbolic link to the port: a fixed name.")]
+Link = Annotated[
+    Path | None,
+    typer.Option(
+        "--link", metavar="PATH", help="Symbolic link to the port: a fixed name. Of a session, a folder of them."
+    ),
+]
+StreamNames = Annotated[
+    str, typer.Option("--streams", metavar="LIST", help="Of a session: some of arm,pose,wrench,finger,board.")
+]
+Ports = Annotated[
+    int, typer.Option("--ports", metavar="N", help="Of a session: first of its network ports; 0: free ones.")
+]
 Wait = Annotated[bool, typer.Option("--wait/--no-wait", help="Begin when a program opens the port, or at once.")]
 Loop = Annotated[int, typer.Option("--loop", metavar="N", help="Play it N times; 0: until stopped.")]
 Hold = Annotated[bool, typer.Option("--hold", help="Go on sending the last row until stopped.")]
@@ -72,7 +95,7 @@ def register(app: typer.Typer) -> None:
 
 def emulate(
     device_name: DeviceName,
-    scene: SceneName = "xhand_tabletop",
+    scene: SceneName = None,
     policy: PolicyName = None,
     seed: Seed = 1,
     duration_s: Duration = 3.2,
@@ -88,6 +111,8 @@ def emulate(
     with_table: Table = None,
     truth: Truth = None,
     faults: FaultList = "",
+    streams: StreamNames = "",
+    ports: Ports = 0,
     as_json: AsJson = False,
 ) -> None:
     """Stand in for a hand: send an episode's frames on a pseudo-terminal, whose path is printed first.
@@ -97,34 +122,42 @@ def emulate(
     """
     from candata.errors import UsageError
     from candata.record import emulate_files as files
-    from candata.record.devices import device
+    from candata.record.devices import hand
     from candata.record.emulate_faults import parse_faults
     from candata.record.emulate_script import encoder_of, write_script
 
     for option, path in {"--with-table": with_table, "--truth": truth}.items():
         if path:
             check_output(path, "new", option)
-    model, fault_plan = device(device_name), parse_faults(faults)
-    encoder_of(device_name, model)
-    _check(loop, seed, fault_plan, link)
     if episode is not None and dataset is None:
         raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
+    hand_name, scene_name, folder = session.place(device_name, scene, link, hold=hold, streams=streams, ports=ports)
+    model, fault_plan = hand(hand_name), parse_faults(faults)
+    encoder_of(hand_name, model)
+    _check(loop, seed, fault_plan, link)
     episode_played = (
-        _stored_episode(dataset, episode) if dataset else _simulated_episode(scene, policy, seed, duration_s)
+        _stored_episode(dataset, episode) if dataset else _simulated_episode(scene_name, policy, seed, duration_s)
     )
     script = write_script(
-        episode_played, device_name, model, rate_hz=rate, still_s=rest_s, newton_per_count=newton_per_count
+        episode_played, hand_name, model, rate_hz=rate, still_s=rest_s, newton_per_count=newton_per_count
     )
     if with_table:
         files.check_table(with_table, script)
     if truth:
         files.prepare(truth)
-    transmission = _play(script, link, wait, as_json, seed=seed, faults=fault_plan, passes=loop, hold=hold)
+    options: dict[str, Any] = {"wait": wait, "as_json": as_json, "seed": seed, "faults": fault_plan, "passes": loop}
+    beside = session.Beside()
+    if folder is None:
+        transmission = _play(script, link, hold=hold, **options)
+    else:
+        others = session.session_streams(script, episode_played, streams)
+        with _stop_on_signal() as stop:
+            transmission, beside = session.play_session(script, others, folder, stop, ports=ports, **options)
     if with_table:
         files.write_table(with_table, transmission)
     if truth:
-        files.write_truth(truth, transmission)
-    _say_report(transmission.report(), as_json)
+        files.write_truth(truth, transmission, beside.arrays)
+    _say_report({**transmission.report(), "streams": beside.reports}, as_json)
 
 
 def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
@@ -166,7 +199,7 @@ def _simulated_episode(scene_name: str, policy: str | None, seed: int, duration_
     return make_episodes(scene, [job(recipe, 0, scene)], duration_s=duration_s, noise=scene.file.noise)[0]
 
 
-def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **options: Any) -> Transmission:
+def _play(script: Script, link: Path | None, *, wait: bool, as_json: bool, seed: int, **options: Any) -> Transmission:
     """Return what was sent on a fresh port, which is printed first."""
     import numpy as np
 
@@ -218,3 +251,4 @@ def _say_report(report: dict[str, Any], as_json: bool) -> None:
         f"received  {report['received_bytes']} bytes from the reader\n"
         f"late      {report['late_s'] * 1e3:.1f} ms at most"
     )
+    session.say_streams(report["streams"])

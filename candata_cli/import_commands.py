@@ -9,61 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli import import_options as options
 from candata_cli.object_commands import write_objects
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from candata.record.importing import ImportedLog, ImportRecipe
+    from candata.record.import_session import ImportedSession
+    from candata.record.importing import ImportRecipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write.")]
 Append = Annotated[bool, typer.Option("--append", help="Add to a dataset that stands.")]
-#: Options of `import`. Those marked `log:` are for `import log` alone.
-FormatName = Annotated[
-    str, typer.Argument(metavar="FORMAT", help="Kind of source: `log`, or a format; an unknown one lists them.")
-]
-Sources = Annotated[
-    list[Path],
-    typer.Argument(metavar="SOURCE...", help="For `table`: a map.yaml; for `log`: logs; else a file or folder."),
-]
-AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Not log: mark values that are not finite as invalid.")]
-MapFile = Annotated[
-    Path | None, typer.Option("--map", metavar="FILE", help="What becomes which channel; not for table and log.")
-]
-Origin = Annotated[
-    str | None, typer.Option("--source", metavar="sim|real", help="Not table or log: what the file holds [real].")
-]
-Companions = Annotated[
-    list[Path] | None,
-    typer.Option("--with", metavar="FILE", help="log: map.yaml, table or MCAP with poses, joints, commands; repeat."),
-]
-SceneName = Annotated[
-    str | None,
-    typer.Option(
-        "--scene", metavar="SCENE", help="The scene; for log its name or scene.yaml: rate and order of joints."
-    ),
-]
-RateHz = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="log: rate without --scene [the device's].")]
-NewtonPerCount = Annotated[
-    float | None, typer.Option("--newton-per-count", metavar="N", help="log: scale of the forces [the log's].")
-]
-Threshold = Annotated[
-    float | None, typer.Option("--threshold", metavar="N", help="log: contact above |Fx|+|Fy|+|Fz| [0.3].")
-]
-MaxGap = Annotated[
-    float | None, typer.Option("--max-gap", metavar="PERIODS", help="log: readings further apart end a gap [1.5].")
-]
-AllowUncalibrated = Annotated[
-    bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")
-]
-ObjectName = Annotated[str | None, typer.Option("--object", metavar="NAME", help="The object.")]
-TaskName = Annotated[str | None, typer.Option("--task", metavar="NAME", help="What is done.")]
-EpisodeId = Annotated[
-    str | None, typer.Option("--episode", metavar="ID", help="log: id of the episode [the file's name].")
-]
 LOG, TABLE = "log", "table"
 #: What a foreign file may not say of its episodes.
 _LABELS = ("scene", "object", "task")
@@ -74,6 +33,7 @@ _OPTIONS = {
     "rate_hz": "--rate",
     "newton_per_count": "--newton-per-count",
     "threshold_n": "--threshold",
+    "release_n": "--release",
     "max_gap_periods": "--max-gap",
 }
 _EXAMPLES = """\b
@@ -93,30 +53,37 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable()
 def import_(
-    format_name: FormatName,
-    sources: Sources,
+    format_name: options.FormatName,
+    sources: options.Sources,
     out: Out,
     append: Append = False,
-    allow_gaps: AllowGaps = False,
-    mapping: MapFile = None,
-    origin: Origin = None,
-    companions: Companions = None,
-    scene: SceneName = None,
-    rate_hz: RateHz = None,
-    newton_per_count: NewtonPerCount = None,
-    threshold_n: Threshold = None,
-    max_gap: MaxGap = None,
-    allow_uncalibrated: AllowUncalibrated = False,
-    object_name: ObjectName = None,
-    task: TaskName = None,
-    episode: EpisodeId = None,
+    replace: options.Replace = False,
+    allow_gaps: options.AllowGaps = False,
+    mapping: options.MapFile = None,
+    origin: options.Origin = None,
+    companions: options.Companions = None,
+    scene: options.SceneName = None,
+    rate_hz: options.RateHz = None,
+    newton_per_count: options.NewtonPerCount = None,
+    threshold_n: options.Threshold = None,
+    release_n: options.Release = None,
+    max_gap: options.MaxGap = None,
+    align: options.Align = None,
+    allow_uncalibrated: options.AllowUncalibrated = False,
+    object_name: options.ObjectName = None,
+    task: options.TaskName = None,
+    episode: options.EpisodeId = None,
 ) -> None:
     """Import recordings into a dataset: all of a source or nothing; the same source twice adds nothing."""
+    from candata.errors import UsageError
+
     settings = {
         "rate_hz": rate_hz,
         "newton_per_count": newton_per_count,
         "threshold_n": threshold_n,
+        "release_n": release_n,
         "max_gap_periods": max_gap,
+        "align": align,
         "uncalibrated": allow_uncalibrated or None,
         "scene": scene,
         "object": object_name,
@@ -127,11 +94,16 @@ def import_(
     labels = (
         {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings} if format_name != LOG else {}
     )
-    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings} | {"--with": companions}
+    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings} | {
+        "--with": companions,
+        "--replace": replace,
+    }
     if format_name == LOG:
         refused_options: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
         _refuse_options(refused_options, "`import log` takes no")
-        _import_logs(sources, companions or [], stated_settings, out, append)
+        if replace and not append:
+            raise UsageError("--replace changes a dataset that stands", fix="give --append as well")
+        _import_logs(sources, companions or [], stated_settings, out, append, replace)
         return
     _refuse_options(only_log, "only `import log` takes")
     if format_name == TABLE:
@@ -207,8 +179,10 @@ def _map_text(mapping: Path | None) -> dict[str, str]:
     return {} if mapping is None else {"map": mapping.read_text(encoding="utf-8")}
 
 
-def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: Path, append: bool) -> None:
-    """Import recorded logs, one episode each, one after the other."""
+def _import_logs(
+    logs: list[Path], companions: list[Path], settings: dict, out: Path, append: bool, replace: bool
+) -> None:
+    """Import recorded logs one after the other: one episode each, or those that were marked."""
     import hashlib
 
     from candata import __version__
@@ -232,26 +206,30 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
         )
 
     def episodes() -> Iterator[Episode]:
-        for imported_log in _read_logs(logs, companions, recipe):
-            log_records.append((imported_log.digest, imported_log.details))
-            yield imported_log.episode
+        for digest, session in _read_logs(logs, companions, recipe):
+            log_records.append((digest, session.details))
+            yield from session.episodes
 
-    _publish(out, append, episodes(), "import log", lineage, part_size=1)
+    _publish(out, append, episodes(), "import log", lineage, part_size=1, replaces=replace)
 
 
-def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[ImportedLog]:
-    """Yield what each log becomes; only one is held."""
+def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[tuple[str, ImportedSession]]:
+    """Yield the digest of each log with its recipe, and its episodes; only one log is held."""
     from candata.record.companions import read_companion
+    from candata.record.import_session import cut_episodes
     from candata.record.importing import import_log
     from candata.record.logs import read_log
+    from candata.record.session_run import log_of
 
     companion_files = [read_companion(path) for path in companions]
-    for path in logs:
-        log_recipe = recipe if recipe.episode else recipe.model_copy(update={"episode": path.stem})
-        imported_log = import_log(path, read_log(path), log_recipe, companion_files)
-        for line in imported_log.notes:
+    for path in map(log_of, logs):
+        log = read_log(path)
+        log_recipe = recipe if recipe.episode else recipe.model_copy(update={"episode": log.meta.session or path.stem})
+        imported_log = import_log(path, log, log_recipe, companion_files)
+        session = cut_episodes(imported_log, log)
+        for line in session.notes:
             console.note(line)
-        yield imported_log
+        yield imported_log.digest, session
 
 
 def _recipe(settings: dict) -> ImportRecipe:
@@ -318,21 +296,26 @@ def _publish(
     lineage: Callable[[], Lineage],
     part_size: int = 16,
     clouds: Iterable[NDArray] = (),
+    replaces: bool = False,
 ) -> None:
     """Write all episodes as one version and print what was added; a failure leaves no trace.
 
     A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all; one that another
     process made meanwhile is added to only where that was asked for. `lineage` and `clouds` are asked once all
-    episodes were read.
+    episodes were read. With `replaces`, episodes take the place of those with their ids in what stands.
     """
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
     from candata.datasets.drafts import draft_beside, place
+    from candata.datasets.replacing import publish_replacing, write_each
     from candata.datasets.versions import members_of, newest_version
 
     read_ids: set[str] = set()
 
     def add(root: Path) -> VersionFile:
-        parts = write_parts(root, _with_progress(episodes, read_ids), operation, part_size)
+        episode_stream = _with_progress(episodes, read_ids)
+        if replaces:
+            return publish_replacing(root, write_each(root, episode_stream, operation), lineage())
+        parts = write_parts(root, episode_stream, operation, part_size)
         for points in clouds:
             put_cloud(root, points)
         return publish(root, parts, lineage())
@@ -347,10 +330,13 @@ def _publish(
                 draft_root = create_dataset(folder / "dataset", name=out.resolve().name)
                 version = add(draft_root)
                 place(draft_root, out)
-    total = len(members_of(out, version))
-    added_count = total - (len(members_of(out, earlier_version)) if earlier_version else 0)
+    members = members_of(out, version)
+    earlier = members_of(out, earlier_version) if earlier_version else {}
+    changed_count = sum(members.get(name, content) != content for name, content in earlier.items())
+    changed_text = f", {changed_count} replaced" if replaces else ""
     _tell_left_out(out, read_ids.intersection(version.exclusions))
-    console.out(f"{out}: {added_count} episodes added, {total} in version {version.number}")
+    added_count = len(members) - len(earlier)
+    console.out(f"{out}: {added_count} episodes added{changed_text}, {len(members)} in version {version.number}")
 
 
 def _tell_left_out(out: Path, ids: set[str]) -> None:

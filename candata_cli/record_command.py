@@ -11,17 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from candata_cli import console
+from candata_cli import console, session_options
+from candata_cli import record_options as options
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.record.recorder_values import RecorderView
+    from candata.record.addresses import StreamSource
+    from candata.record.recorder_values import RecorderView, RecordingReport
 
 _SHOW_S = 1.0
+#: Option of a stream to its device.
+_STREAM_DEVICES = {"arm": "xarm", "pose": "pose_lines", "wrench": "ft300"}
 
 _RECORD_EXAMPLE = """\b
-Example:
-  candata record-real --port /dev/ttyUSB0 --out session.mcap
+Examples:
+  candata record-real --port /dev/ttyUSB0 --out hand.mcap
+  candata record-real --port /dev/ttyUSB0 --session monday
 """
 _RECOVER_EXAMPLE = """\b
 Example:
@@ -37,65 +42,81 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable("nothing was recorded")
 def record_real(
-    port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
-    out: Annotated[Path, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")],
-    device: Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")] = "xhand",
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="S", help="Seconds after the calibration; else until Ctrl-C."),
-    ] = None,
-    no_calibrate: Annotated[bool, typer.Option("--no-calibrate", help="Do not measure a resting hand first.")] = False,
-    calibrate_s: Annotated[
-        float, typer.Option("--calibrate-s", metavar="S", min=0.5, help="Length of the calibration.")
-    ] = 3.0,
-    newton_per_count: Annotated[
-        float | None, typer.Option("--newton-per-count", metavar="X", help="Scale of the forces; else the device's.")
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="Nominal rate, to find gaps; else the device's.")
-    ] = None,
-    baud: Annotated[int | None, typer.Option("--baud", min=1, help="Baud rate; else the device's.")] = None,
-    reconnect: Annotated[
-        float, typer.Option("--reconnect", metavar="S", min=0.0, help="How long to wait for an unplugged port.")
-    ] = 10.0,
-    reserve_mb: Annotated[
-        int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
-    ] = 200,
-    plain_text: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
+    port: options.Port,
+    out: options.Out = None,
+    device: options.DeviceName = "xhand",
+    duration: options.Duration = None,
+    no_calibrate: options.NoCalibrate = False,
+    calibrate_s: options.CalibrateS = 3.0,
+    newton_per_count: options.NewtonPerCount = None,
+    rate: options.Rate = None,
+    baud: options.Baud = None,
+    reconnect: options.Reconnect = 10.0,
+    reserve_mb: options.ReserveMb = 200,
+    arm: options.Arm = None,
+    pose: options.Pose = None,
+    wrench: options.Wrench = None,
+    stream: options.Stream = None,
+    poll: options.Poll = None,
+    session: options.SessionFolder = None,
+    episodes: options.Episodes = None,
+    gap: options.Gap = None,
+    start_on_contact: options.StartOnContact = False,
+    threshold: options.Threshold = 0.3,
+    release: options.Release = None,
+    plain_text: options.PlainText = False,
+    as_json: options.AsJson = False,
 ) -> None:
-    """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
-    from candata.record.devices import device as device_named
+    """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
+    from candata.record.poll import read_posture
     from candata.record.recorder import record
     from candata.record.recorder_values import RecorderSettings
+    from candata.record.replay import hand_source
 
-    check_output(out, "new")
+    out = session_options.check_session(out, session, episodes, gap, start_on_contact)
+    hand = hand_source(device, port)
+    sources = [*hand.streams, *_sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])]
     if duration is not None:
         _positive("duration", duration)
-    stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
-    overrides = {name: _positive(name, value) for name, value in stated_settings.items() if value is not None}
+    plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
+    overrides = _overrides({"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}, session)
     settings = RecorderSettings(
-        duration_s=duration,
+        duration_s=whole_s,
+        contact=session_options.contact_rule(threshold, release),
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
+        poll_rad=None if poll is None else read_posture(poll, hand.device),
     )
-    hand = device_named(device)
     with (
         console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
         _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
+        session_options.running_session(session, plan, not (plain_text or as_json), say) as marks,
     ):
-        report = record(
-            hand, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
-        )
+        rest: dict[str, Any] = {"settings": settings, "session": marks, "streams": sources}
+        rest["overrides"] = {**hand.settings, **overrides}
+        report = record(hand.device, hand.port, out, name=hand.name, stop=stop, show=show, say=say, **rest)
+    _tell(report, as_json, whole_s)
+
+
+def _overrides(stated_settings: dict[str, float | None], session: Path | None) -> dict[str, Any]:
+    """Return the values of the log's metadata that replace the device's own."""
+    overrides: dict[str, Any] = {
+        name: _positive(name, value) for name, value in stated_settings.items() if value is not None
+    }
+    return overrides | ({} if session is None else {"session": session.resolve().name})
+
+
+def _tell(report: RecordingReport, as_json: bool, duration_s: float | None) -> None:
+    """Print a report; raise what ended the recording before its time."""
     if as_json:
         console.out_json(report.facts)
     else:
         _print_report(report.facts)
     if report.failure is not None:
         raise report.failure
-    if duration is not None and report.facts["ended"] == "stopped":
+    if duration_s is not None and report.facts["ended"] == "stopped":
         raise _cut_short(report.facts)
 
 
@@ -112,6 +133,7 @@ def recover(
     if out is not None:
         check_output(out, "new")
     report = salvage(log, out)
+    session_file = session_options.restored_session(report)
     if as_json:
         console.out_json(vars(report))
         return
@@ -119,7 +141,19 @@ def recover(
     damage_text = f", {report.damaged_chunks} damaged chunks left out" if report.damaged_chunks else ""
     console.out(f"{report.log} is {state}: {report.read_bytes} of {report.total_bytes} bytes read{damage_text}")
     console.out(f"{report.out}: {sum(report.messages.values())} messages over {report.duration_s:.2f} s")
+    if session_file is not None:
+        console.out(f"{session_file}: the marks and episodes of the session")
     console.out_table(("topic", "messages"), sorted(report.messages.items()))
+
+
+def _sources(by_option: dict[str, str | None], texts: list[str]) -> list[StreamSource]:
+    """Return the streams that the options name."""
+    from candata.record.addresses import parse_stream, stream_source
+
+    named = [
+        stream_source(name, _STREAM_DEVICES[name], place) for name, place in by_option.items() if place is not None
+    ]
+    return named + [parse_stream(text) for text in texts]
 
 
 def _cut_short(facts: dict[str, Any]) -> console.StoppedRun:
@@ -164,7 +198,8 @@ def _until_signal() -> Iterator[Callable[[], bool]]:
 
     def note(number: int, _frame: Any) -> None:
         came.append(number)
-        signal.signal(number, handlers[number])
+        # A signal that ends the process at once would leave the terminal without its echo.
+        signal.signal(number, signal.default_int_handler if handlers[number] == signal.SIG_DFL else handlers[number])
 
     for number in numbers:
         signal.signal(number, note)
@@ -235,6 +270,15 @@ def _each_second() -> Callable[[RecorderView], None]:
     return show
 
 
+def _stream_text(facts: dict[str, Any]) -> str:
+    """Return what a report says of a stream."""
+    losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
+    return (
+        f"{facts['device']}: {facts['frames']} frames, {facts['rate_hz']:.2f} Hz, {facts['gaps']} gaps, the longest "
+        f"{facts['longest_gap_s'] * 1e3:.0f} ms, lost: {losses or 'nothing'}"
+    )
+
+
 def _print_report(facts: dict[str, Any]) -> None:
     """Print the report for people."""
     from candata.record.bursts import WORDS
@@ -250,7 +294,9 @@ def _print_report(facts: dict[str, Any]) -> None:
         ("lost", losses or "nothing"),
         ("unplugged", f"{len(facts['unplugs'])} times"),
         ("saturated", f"{saturation['forces']} forces, {saturation['taxels']} taxels"),
+        *((name, _stream_text(stream)) for name, stream in facts["streams"].items()),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
+        *session_options.report_rows(facts),
         ("ended", facts["problem"] or facts["ended"]),
         ("sha256", facts["sha256"]),
         ("next", shlex.join(["candata", *_next_command(Path(facts["log"]))])),

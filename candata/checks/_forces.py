@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from candata.checks._signal import quiet_noise, resolution
 from candata.checks._view import EpisodeView
-from candata.schema.contact import THRESHOLD_MARGIN_N
+from candata.schema.contact import contact_of_totals
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -36,6 +36,8 @@ class FingertipForces:
         Whether the record states how flags came from forces.
     names : tuple of str
         Fingertips.
+    release_n : float or None
+        Force below which contact ends [N]; None where the threshold alone counts.
     """
 
     xyz: Array
@@ -43,11 +45,12 @@ class FingertipForces:
     threshold_n: float
     is_rule_stated: bool
     names: tuple[str, ...]
+    release_n: float | None = None
 
     @property
     def touch(self) -> Mask:
-        """`(T, F) bool`: above the threshold."""
-        return np.asarray(self.total > self.threshold_n + THRESHOLD_MARGIN_N)
+        """`(T, F) bool`: in contact by the rule."""
+        return contact_of_totals(self.total, self.threshold_n, self.release_n)
 
     @property
     def has_value(self) -> Mask:
@@ -62,7 +65,9 @@ def forces(view: EpisodeView) -> FingertipForces | None:
         return None
     rule = view.meta.contact_rule if view.meta else None
     threshold = rule.threshold_n if rule else THRESHOLD_N
-    return FingertipForces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, view.elements("fingertip_force"))
+    release_n = rule.release_n if rule else None
+    names = view.elements("fingertip_force")
+    return FingertipForces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, names, release_n)
 
 
 def flags(view: EpisodeView, count: int) -> Array | None:

@@ -16,6 +16,8 @@ _FIELDS: dict[str, tuple[tuple[str, str, bool], ...]] = {
     "WireBytes": (("data", "BYTES", False),),
     "FingertipForces": (("counts", "SINT32", True), ("newton_per_count", "DOUBLE", False)),
     "TactileFrame": (("counts", "BYTES", False), ("shape", "UINT32", True), ("newton_per_count", "DOUBLE", False)),
+    "Values": (("values", "DOUBLE", True), ("shape", "UINT32", True)),
+    "DeviceTime": (("time_ns", "INT64", False),),
     "MotorState": (("current_ampere", "DOUBLE", True), ("temperature_celsius", "DOUBLE", True)),
 }
 

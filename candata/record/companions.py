@@ -39,6 +39,8 @@ class RecordedStream:
         In the channel's unit; rows that are not finite were not read.
     origin : str
         Name of the file (and topic).
+    device_time_ns : (n,) int64 [ns], optional
+        The device's own clock at each row, with its own zero.
     """
 
     channel: str
@@ -46,6 +48,7 @@ class RecordedStream:
     time_ns: NDArray[np.int64]
     values: NDArray
     origin: str
+    device_time_ns: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
+from numpy.typing import NDArray
 
 from candata.datasets.writing import replacing, write_text
 from candata.errors import SetupError, UsageError, Where
@@ -100,8 +102,17 @@ def _columns(script: Script) -> dict[str, tuple[str, ...]]:
     return {channel: columns for channel, columns in channel_columns.items() if channel in script.unwired_channels}
 
 
-def write_truth(path: Path, transmission: Transmission) -> None:
+def write_truth(path: Path, transmission: Transmission, streams: Mapping[str, NDArray] | None = None) -> None:
     """Write the values sent as npz: `command_time_ns`, `state_time_ns`, `*_whole`, joints, targets, forces, counts.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    transmission : Transmission
+        What the hand sent.
+    streams : mapping, optional
+        Arrays of what other devices sent.
 
     Raises
     ------
@@ -127,5 +138,6 @@ def write_truth(path: Path, transmission: Transmission) -> None:
         "meta": np.array(script.meta.model_dump_json()),
     }
     arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired_channels.items()}
+    arrays |= streams or {}
     with replacing(path, "truth") as draft, draft.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -129,7 +129,7 @@ def _new_columns(
     if not new_columns:
         return None, note
     names = tuple(stream.names[k] for k in new_columns)
-    return RecordedStream(stream.channel, names, stream.time_ns, stream.values[:, new_columns], stream.origin), note
+    return replace(stream, names=names, values=stream.values[:, new_columns]), note
 
 
 def column_order(

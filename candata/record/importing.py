@@ -17,15 +17,17 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
 from candata.record.companions import Companion, RecordedStream
+from candata.record.import_contact import add_contact, contact_shares
 from candata.record.import_streams import (
     column_order,
     gap_periods,
@@ -36,10 +38,11 @@ from candata.record.import_streams import (
     utc,
     wire_streams,
 )
+from candata.record.logged_companions import is_logged, logged_companions
 from candata.record.logs import Log
+from candata.record.stream_clocks import clock_notes, set_clocks
 from candata.schema.channels import VALID_SUFFIX
-from candata.schema.contact import fingertip_contact
-from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
+from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta, StreamClock
 from candata.schema.record import Record
 from candata.schema.scene import Positive, SceneFile
 
@@ -47,8 +50,6 @@ Arrays = dict[str, NDArray]
 
 #: States whose median beat the grid begins on: one late stamp must not shift it.
 BEAT_ROWS = 81
-#: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
-SCALES = (0.5, 1.0, 2.0)
 #: Largest rate of the grid as a multiple of the hand's.
 RATES = 20
 
@@ -66,6 +67,8 @@ class ImportRecipe(Record):
         Scale of the forces.
     threshold_n : float
         Contact is |Fx| + |Fy| + |Fz| above it.
+    release_n : float, optional
+        Contact ends below it; by default where the threshold is no longer exceeded.
     max_gap_periods : float
         Neighbours further apart, in periods of their stream, are the ends of a gap.
     uncalibrated : bool
@@ -74,18 +77,22 @@ class ImportRecipe(Record):
         Name of the scene; `roles` is what its file says.
     object, task : str, optional
         Of the episode; else what the companions say, or the scene.
+    align : str
+        `stamps`: streams beside the hand count by their stamps; `clocks`: their clocks are fitted first.
     """
 
     episode: str
     rate_hz: Positive | None = None
     newton_per_count: Positive | None = None
     threshold_n: Positive = 0.3
+    release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
     max_gap_periods: Positive = align.MAX_GAP_PERIODS
     uncalibrated: bool = False
     scene: str | None = None
     roles: SceneFile | None = None
     object: str | None = None
     task: str | None = None
+    align: Literal["stamps", "clocks"] = Field(default="stamps", exclude_if=lambda way: way == "stamps")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,18 +144,21 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     scale = recipe.newton_per_count or log.meta.newton_per_count
     in_bursts = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
     log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
-    streams, notes = merge_streams(wire_streams(log, scale), companions)
+    beside_hand, stream_notes = logged_companions(log)
+    streams, notes = merge_streams(wire_streams(log, scale), [*beside_hand, *companions])
+    streams, clocks = set_clocks(streams) if recipe.align == "clocks" else (streams, ())
+    notes += [*stream_notes, *clock_notes(clocks)]
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _align_streams(streams, grid_ns, recipe, in_bursts)
-    _add_contact(arrays, recipe.threshold_n)
+    add_contact(arrays, recipe.threshold_n, recipe.release_n)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     episode_arrays = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
-    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), episode_arrays)
+    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid, clocks), episode_arrays)
     details = _details(path, log, recipe, companions, episode, scale)
     notes += [late_note] if late_note else []
     notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if in_bursts else []
@@ -162,10 +172,11 @@ def _meta(
     names: dict[str, tuple[str, ...]],
     rate_hz: float,
     invalid: dict[str, int],
+    clocks: tuple[StreamClock, ...],
 ) -> EpisodeMeta:
     """Return who, what, when."""
     scale = recipe.newton_per_count or log.meta.newton_per_count
-    forces = "fingertip_force" in names
+    rule = ContactRule(threshold_n=recipe.threshold_n, release_n=recipe.release_n, newton_per_count=scale)
     return EpisodeMeta(
         id=recipe.episode,
         source="real",
@@ -177,16 +188,22 @@ def _meta(
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
-        contact_rule=ContactRule(threshold_n=recipe.threshold_n, newton_per_count=scale) if forces else None,
+        contact_rule=rule if "fingertip_force" in names else None,
         newton_per_count=scale if "taxels" in names else None,
-        alignment=_clock(log, recipe),
+        alignment=_clock(log, recipe).model_copy(update={"streams": clocks}),
         invalid_counts=invalid,
     )
 
 
 def _refuse(path: Path, log: Log, recipe: ImportRecipe) -> None:
-    """Refuse a log without states, and one without calibration unless it is asked for."""
+    """Refuse a log without states or (unless asked for) calibration, and a release above the threshold."""
     place = Where(path=str(path))
+    if recipe.release_n is not None and recipe.release_n > recipe.threshold_n:
+        raise UsageError(
+            "contact would end above the force at which it begins",
+            expected=f"--release of at most {recipe.threshold_n:g} N, the threshold",
+            found=f"{recipe.release_n:g} N",
+        )
     if not len(log.state_time_ns):
         raise DataError(
             "the log holds no states",
@@ -219,11 +236,11 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 
 
 def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
-    """Return the times that all streams cover, after the calibration."""
+    """Return the times that all streams cover, after the calibration; one beside the hand may fall silent."""
     states = log.state_time_ns
     calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
     earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
-    end_ns = min(int(s.time_ns[-1]) for s in streams)
+    end_ns = min(int(s.time_ns[-1]) for s in streams if not is_logged(s))
     row = int(np.searchsorted(states, earliest))
     period = align.period_ns(states)
     grid_ns = np.zeros(0, np.int64)
@@ -267,16 +284,6 @@ def _align_streams(
         arrays[channel] = values if order is None else values[:, order]
         arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in sampled])
     return arrays, names
-
-
-def _add_contact(arrays: Arrays, threshold_n: float) -> None:
-    """Add contact by the forces, valid where they are."""
-    if "fingertip_force" not in arrays:
-        return
-    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], threshold_n)
-    arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
-    for name in ("fingertip_contact", "contact"):
-        arrays[name + VALID_SUFFIX] = arrays["fingertip_force" + VALID_SUFFIX]
 
 
 def _from_first_command(arrays: Arrays) -> Arrays:
@@ -337,7 +344,7 @@ def _details(
             "before": (int(time_ns[0]) - int(states[0])) * 1e-9,
             "after": max(0.0, (int(states[-1]) - int(time_ns[-1])) * 1e-9),
         },
-        "contact_share_by_newton_per_count": _contact_shares(episode, recipe.threshold_n, scale),
+        "contact_share_by_newton_per_count": contact_shares(episode, scale),
         "torn": log.torn,
         "damaged_chunks": log.damaged_chunks,
     }
@@ -354,15 +361,6 @@ def _saturation_counts(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
         if low < 0:
             at_end |= counts[..., axis] <= low
     return {name: int(at_end[:, k].sum()) for k, name in enumerate(log.meta.fingertip_names)}
-
-
-def _contact_shares(episode: Episode, threshold_n: float, scale: float) -> dict[str, float]:
-    """Return the share of rows in contact if a count were worth half, as much, and twice as much."""
-    if "fingertip_force" not in episode:
-        return {}
-    force = episode["fingertip_force"][episode.valid("fingertip_force")]
-    shares = {f"{k * scale:g}": fingertip_contact(k * force, threshold_n).any(axis=1) for k in SCALES}
-    return {label: float(flags.mean()) if len(force) else 0.0 for label, flags in shares.items()}
 
 
 def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:

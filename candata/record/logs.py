@@ -23,14 +23,25 @@ from candata.formats._mcap_messages import descriptors, message
 from candata.formats._mcap_scan import Scan
 from candata.record.calibration import Calibration, from_metadata, to_metadata
 from candata.record.devices._contract import Commands, Device, States
+from candata.record.log_messages import (
+    EVENTS,
+    FORCES,
+    JOINTS,
+    MOTORS,
+    STATISTICS,
+    TARGETS,
+    TAXELS,
+    WIRE,
+    state_arrays,
+    target_arrays,
+)
+from candata.record.log_streams import STREAM, LoggedStream, logged_stream, stream_metas
 from candata.record.sink import Sink
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 
 PROFILE = "candata"
 META, CALIBRATION = "candata.log", "candata.calibration"
-WIRE, JOINTS, TARGETS = "/wire", "/hand/joint_states", "/hand/joint_targets"
-FORCES, TAXELS, MOTORS, STATISTICS = "/hand/fingertip_forces", "/hand/taxels", "/hand/motor_states", "/statistics"
 _MESSAGES = {
     WIRE: "candata.WireBytes",
     JOINTS: "foxglove.JointStates",
@@ -39,13 +50,15 @@ _MESSAGES = {
     TAXELS: "candata.TactileFrame",
     MOTORS: "candata.MotorState",
 }
+_JSON = {STATISTICS: "candata.Statistics", EVENTS: "candata.Event"}
 _CHUNK_BYTES = 64 * 1024
 
 
 class LogMeta(Record):
     """What a log says of itself, in its metadata record `candata.log`.
 
-    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from.
+    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from;
+    `session` names the session that the log is of, and is empty for a recording without marks.
     """
 
     device: str
@@ -60,6 +73,7 @@ class LogMeta(Record):
     port: str = ""
     wall_offset_ns: int = 0
     version: str = ""
+    session: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +110,10 @@ class Log:
         Chunks that could not be read and are missing here.
     read_time_ns : (k,) int64 [ns]
         When bytes were read from the port.
+    events : tuple of (int, dict)
+        What was marked in a session and when [ns], in the order in which it was written.
+    streams : tuple of LoggedStream
+        What was recorded beside the hand, raw, in the order in which it was opened.
     """
 
     meta: LogMeta
@@ -112,23 +130,16 @@ class Log:
     torn: bool = False
     damaged_chunks: int = 0
     read_time_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    events: tuple[tuple[int, dict[str, Any]], ...] = ()
+    streams: tuple[LoggedStream, ...] = ()
 
 
 def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
     """Return the metadata of a log of `device`, registered as `name`; `settings` replace the device's own."""
     from candata import __version__
 
-    fields = (
-        "joint_names",
-        "fingertip_names",
-        "taxels",
-        "newton_per_count",
-        "count_low",
-        "count_high",
-        "rate_hz",
-        "baud",
-    )
-    device_fields = {field: getattr(device, field) for field in fields}
+    names = "joint_names fingertip_names taxels newton_per_count count_low count_high rate_hz baud"
+    device_fields = {field: getattr(device, field) for field in names.split()}
     return LogMeta.model_validate({"device": name, "version": __version__, **device_fields, **settings})
 
 
@@ -160,11 +171,11 @@ class LogWriter:
         self._writer = Writer(self._sink, chunk_size=_CHUNK_BYTES)  # type: ignore[arg-type]
         with self._sink.guarded():
             self._writer.start(PROFILE, library=f"candata {meta.version}")
-            values = {name: json.dumps(value) for name, value in meta.model_dump(mode="json").items()}
-            self._writer.add_metadata(META, values)
+        self.metadata(META, meta.model_dump(mode="json"))
         self._channels = {topic: self._channel(topic, "protobuf", name) for topic, name in _MESSAGES.items()}
-        schema = self._writer.register_schema("candata.Statistics", "jsonschema", b'{"type": "object"}')
-        self._channels[STATISTICS] = self._writer.register_channel(STATISTICS, "json", schema)
+        for topic, name in _JSON.items():
+            schema = self._writer.register_schema(name, "jsonschema", b'{"type": "object"}')
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
         self.flush()
         self.sync()
 
@@ -180,7 +191,7 @@ class LogWriter:
 
     def wire(self, data: bytes, stamp_ns: int) -> None:
         """Write bytes as they were read at `stamp_ns`."""
-        self._add(WIRE, stamp_ns, self._class[WIRE](data=data))
+        self.message(WIRE, stamp_ns, self._class[WIRE](data=data))
 
     def states(self, stamps_ns: Sequence[int], states: States) -> None:
         """Write n decoded state frames that began at `stamps_ns`."""
@@ -192,18 +203,38 @@ class LogWriter:
         """Write n decoded command frames that began at `stamps_ns`."""
         for stamp_ns, target in zip(stamps_ns, commands.joint_target, strict=True):
             self._frames[TARGETS] += 1
-            self._add(TARGETS, stamp_ns, self._joints(TARGETS, stamp_ns, target), self._frames[TARGETS])
+            self.message(TARGETS, stamp_ns, self._joints(TARGETS, stamp_ns, target), self._frames[TARGETS])
 
     def statistics(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
         """Write what the recorder counted so far, as JSON."""
         self._add_bytes(STATISTICS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
 
+    def event(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
+        """Write what was marked in a session, as JSON."""
+        self._add_bytes(EVENTS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
+
     def calibration(self, calibration: Calibration) -> None:
         """Write the calibration as a metadata record, and flush."""
-        values = {name: json.dumps(value) for name, value in to_metadata(calibration).items()}
-        with self._sink.guarded():
-            self._writer.add_metadata(CALIBRATION, values)
+        self.metadata(CALIBRATION, to_metadata(calibration))
         self.flush()
+
+    def metadata(self, name: str, values: Mapping[str, Any]) -> None:
+        """Write a metadata record, each value as JSON."""
+        with self._sink.guarded():
+            self._writer.add_metadata(name, {key: json.dumps(value) for key, value in values.items()})
+
+    def topic(self, topic: str, message_name: str) -> None:
+        """Begin a topic of protobuf messages."""
+        with self._sink.guarded():
+            self._channels[topic] = self._channel(topic, "protobuf", message_name)
+
+    def message(self, topic: str, stamp_ns: int, value: Any, number: int = 0) -> None:
+        """Write a message of a topic that was begun; messages of one frame bear one `number`."""
+        self._add_bytes(topic, stamp_ns, value.SerializeToString(), number)
+
+    def unix_ns(self, stamp_ns: int) -> int:
+        """Return a monotonic stamp as unix time [ns]."""
+        return stamp_ns + self.meta.wall_offset_ns
 
     def flush(self) -> None:
         """Hand everything so far to the operating system: a kill of this process loses none of it."""
@@ -243,31 +274,28 @@ class LogWriter:
         return self._writer.register_channel(topic, encoding, schema)
 
     def _state(self, stamp_ns: int, number: int, states: States, i: int) -> None:
-        self._add(JOINTS, stamp_ns, self._joints(JOINTS, stamp_ns, states.joint_position[i]), number)
+        self.message(JOINTS, stamp_ns, self._joints(JOINTS, stamp_ns, states.joint_position[i]), number)
         motors = self._class[MOTORS](
             current_ampere=states.motor_current[i].tolist(), temperature_celsius=states.motor_temperature[i].tolist()
         )
-        self._add(MOTORS, stamp_ns, motors, number)
+        self.message(MOTORS, stamp_ns, motors, number)
         scale = self.meta.newton_per_count
         forces = self._class[FORCES](counts=states.force_counts[i].ravel().tolist(), newton_per_count=scale)
-        self._add(FORCES, stamp_ns, forces, number)
+        self.message(FORCES, stamp_ns, forces, number)
         if self.meta.taxels:
             taxels = np.ascontiguousarray(states.taxel_counts[i], dtype="<i2")
             frame = self._class[TAXELS](counts=taxels.tobytes(), shape=taxels.shape, newton_per_count=scale)
-            self._add(TAXELS, stamp_ns, frame, number)
+            self.message(TAXELS, stamp_ns, frame, number)
 
     def _joints(self, topic: str, stamp_ns: int, positions: NDArray[np.float64]) -> Any:
         joints = self._class[topic]()
-        joints.timestamp.FromNanoseconds(stamp_ns + self.meta.wall_offset_ns)
+        joints.timestamp.FromNanoseconds(self.unix_ns(stamp_ns))
         for name, position in zip(self.meta.joint_names, positions.tolist(), strict=True):
             joints.joints.add(name=name, position=position)
         return joints
 
-    def _add(self, topic: str, stamp_ns: int, value: Any, number: int = 0) -> None:
-        self._add_bytes(topic, stamp_ns, value.SerializeToString(), number)
-
     def _add_bytes(self, topic: str, stamp_ns: int, data: bytes, number: int) -> None:
-        time_ns = stamp_ns + self.meta.wall_offset_ns
+        time_ns = self.unix_ns(stamp_ns)
         with self._sink.guarded():
             self._writer.add_message(self._channels[topic], time_ns, data, time_ns, number)
 
@@ -288,11 +316,16 @@ def read_log(path: str | Path) -> Log:
         raise DataError(
             "the file is no log of candata", expected=f"the metadata record {META!r}", found="none", where=place
         )
-    meta = LogMeta.parse(_parse_values(metadata[META], place), path)
+    meta = LogMeta.parse(parse_values(metadata[META], place), path)
     try:
-        calibration = from_metadata(_parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
-        arrays = {**_states(messages, meta), **_targets(messages, meta)}
+        calibration = from_metadata(parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
+        joints, fingertips = len(meta.joint_names), len(meta.fingertip_names)
+        arrays = state_arrays(messages, joints, fingertips, meta.taxels) | target_arrays(messages, joints)
         statistics = tuple(parse_json(data, finite=False) for _, data in messages[STATISTICS].values())
+        events = tuple((time_ns, dict(parse_json(data, finite=False))) for time_ns, data in messages[EVENTS].values())
+        records = {name: values for name, values in metadata.items() if name.startswith(STREAM)}
+        metas = stream_metas({name: parse_values(values, place) for name, values in records.items()}, place)
+        streams = tuple(logged_stream(m, messages, reads.get(f"/{m.name}/wire", [])) for m in metas.values())
     except (KeyError, TypeError, ValueError) as error:
         raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
     with path.open("rb") as file:
@@ -304,30 +337,32 @@ def read_log(path: str | Path) -> Log:
         sha256=sha256,
         torn=not scan.whole,
         damaged_chunks=scan.damaged_chunks,
-        read_time_ns=np.array(reads, np.int64),
+        read_time_ns=np.array(reads.get(WIRE, []), np.int64),
+        streams=streams,
+        events=events,
         **arrays,
     )
 
 
-#: Topic to its messages by number: time [ns] and bytes.
-_Messages = dict[str, dict[int, tuple[int, bytes]]]
-
-
-def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[int]]:
-    """Return the messages of the topics that are read back, the metadata records by name, and when bytes were read."""
+def _collect(
+    scan: Scan,
+) -> tuple[dict[str, dict[int, tuple[int, bytes]]], dict[str, Mapping[str, str]], dict[str, list[int]]]:
+    """Return the messages by topic and number, the metadata records by name, and when bytes were read by topic."""
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
-    messages: _Messages = {topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS)}
+    messages: dict[str, dict[int, tuple[int, bytes]]] = {
+        topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS, EVENTS)
+    }
     metadata: dict[str, Mapping[str, str]] = {}
-    reads: list[int] = []
+    reads: dict[str, list[int]] = {}
     for record in scan:
         if isinstance(record, Message):
             topic = topics.get(record.channel_id, "")
-            topic_messages = messages.get(topic)
-            if topic == WIRE:
-                reads.append(record.log_time)
-            elif topic_messages is not None:
+            if topic.endswith(WIRE):
+                reads.setdefault(topic, []).append(record.log_time)
+            elif topic:
+                topic_messages = messages.setdefault(topic, {})
                 topic_messages[record.sequence or len(topic_messages)] = (record.log_time, record.data)
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
@@ -336,53 +371,15 @@ def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[
     return messages, metadata, reads
 
 
-def _parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
-    """Return the values of a metadata record, each of which is JSON."""
+def parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
+    """Return the values of a metadata record, each of which is JSON.
+
+    Raises
+    ------
+    DataError
+        When one is not.
+    """
     try:
         return {name: parse_json(value, finite=False) for name, value in values.items()}
     except ValueError as error:
         raise DataError("a metadata record of the log is not JSON", found=str(error), where=place) from None
-
-
-def _states(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
-    """Return the arrays of the state frames of which every message was read."""
-    topics = [JOINTS, MOTORS, FORCES] + ([TAXELS] if meta.taxels else [])
-    numbers = sorted(set.intersection(*(set(messages[topic]) for topic in topics)))
-    j, f, n = len(meta.joint_names), len(meta.fingertip_names), len(numbers)
-    data = {topic: [messages[topic][number][1] for number in numbers] for topic in topics}
-    currents = [message("candata.MotorState").FromString(d).current_ampere for d in data[MOTORS]]
-    counts = [message("candata.FingertipForces").FromString(d).counts for d in data[FORCES]]
-    taxels = None
-    if meta.taxels:
-        parse = message("candata.TactileFrame").FromString
-        taxels = np.empty((n, f, meta.taxels, 3), np.int16)  # filled row by row: they are most of a long log
-        for row, item in zip(taxels, data[TAXELS], strict=True):
-            row[...] = np.frombuffer(parse(item).counts, dtype="<i2").reshape(row.shape)
-    return {
-        "state_time_ns": _times(messages[JOINTS], numbers),
-        "joint_position": _positions(data[JOINTS], j),
-        "motor_current": np.array(currents, dtype=np.float64).reshape(n, j),
-        "force_counts": np.array(counts, dtype=np.int16).reshape(n, f, 3),
-        "taxel_counts": taxels,
-    }
-
-
-def _targets(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
-    """Return the arrays of the command frames."""
-    numbers = sorted(messages[TARGETS])
-    data = [messages[TARGETS][number][1] for number in numbers]
-    return {
-        "command_time_ns": _times(messages[TARGETS], numbers),
-        "joint_target": _positions(data, len(meta.joint_names)),
-    }
-
-
-def _times(messages: Mapping[int, tuple[int, bytes]], numbers: Sequence[int]) -> NDArray[np.int64]:
-    return np.array([messages[number][0] for number in numbers], dtype=np.int64)
-
-
-def _positions(data: Sequence[bytes], joints: int) -> NDArray[np.float64]:
-    """Return the positions (n, joints) of serialised `foxglove.JointStates`."""
-    parse = message("foxglove.JointStates").FromString
-    positions = [[joint.position for joint in parse(item).joints] for item in data]
-    return np.array(positions, dtype=np.float64).reshape(len(data), joints)

@@ -1,8 +1,9 @@
-"""The reader: a process of its own that stamps the bytes of a port as they come, and passes them on.
+"""The reader: a process of its own that stamps the bytes of a port or socket as they come, and passes them on.
 
 It is run as a file, imports nothing of candata, and does nothing else, so that no decoding and no disk delays its
-stamps. It never writes to the port. One caution no program can lift: the kernel echoes what arrives between the
-opening of a serial port and its set-up, so a listener's adapter should have its transmitter left unconnected.
+stamps. It never writes to a port unless it is given a `poll`: bytes that the caller wants repeated. One caution no
+program can lift: the kernel echoes what arrives between the opening of a serial port and its set-up, so a listener's
+adapter should have its transmitter left unconnected.
 
 Records on its standard output are `<B kind, q stamp, I length>` and that many bytes: raw bytes for DATA, else JSON.
 """
@@ -13,6 +14,7 @@ import json
 import os
 import select
 import signal
+import socket
 import struct
 import sys
 import time
@@ -21,7 +23,7 @@ from contextlib import suppress
 from typing import Any
 
 HEAD = struct.Struct("<BqI")
-DATA, EVENT_OPENED, EVENT_LOST, EVENT_BACK, EVENT_FAILED = range(5)
+DATA, EVENT_OPENED, EVENT_LOST, EVENT_BACK, EVENT_FAILED, EVENT_ASKED = range(6)
 
 _READ_BYTES = 65536
 #: Ahead of other work, where the user may.
@@ -31,6 +33,8 @@ _RETRY_S = 0.1
 _PAUSE_MS, _STALE_S = 2, 0.1
 #: Bytes kept for a recorder that stands still (five minutes of a busy hand); then the port is left to overflow.
 _BACKLOG_BYTES = 64 * 1024 * 1024
+#: How long a server has to take a connection, and what the kernel keeps of a socket that is not read for a while.
+_CONNECT_S, _SOCKET_BYTES = 5.0, 4 * 1024 * 1024
 
 
 class Outlet:
@@ -83,17 +87,19 @@ class Outlet:
 
 
 def main(arguments: list[str]) -> int:
-    """Read the port of `{"port", "baud", "reconnect_s"}` until it or the recorder is gone; return an exit code."""
+    """Read the port of `{"link", "port", "baud", "reconnect_s", "poll"}` until it or the recorder is gone.
+
+    `poll` is absent, or the hexadecimal bytes to write and how often: `{"bytes", "rate_hz"}`. Returns an exit code.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+    _go_ahead_of_others()
     settings = json.loads(arguments[1])
     outlet = Outlet(sys.stdout.fileno())
     try:
-        port, note = open_port(settings["port"], settings["baud"])
+        port, note = open_port(settings)
         outlet.tell(EVENT_OPENED, note=note)
         while port is not None:
-            read_until_lost(port, outlet)
+            read_until_lost(port, outlet, settings.get("poll"))
             port.close()
             outlet.tell(EVENT_LOST)
             port = reopen(settings, outlet)
@@ -105,8 +111,34 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def open_port(name: str, baud: int) -> tuple[Any, str | None]:
-    """Return the open port and a note, or none; raises OSError or ValueError."""
+def _go_ahead_of_others() -> None:
+    """Be scheduled before all ordinary processes where the user may, or at least more often; stamps are late else."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
+    with suppress(OSError, AttributeError):  # not on macOS
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+
+
+def open_port(settings: dict[str, Any]) -> tuple[Any, str | None]:
+    """Return the open port or socket and a note, or none; raises OSError or ValueError."""
+    if settings["link"] == "serial":
+        return open_serial(settings["port"], settings["baud"])
+    host, _, number = settings["port"].rpartition(":")
+    host = host.strip("[]")
+    if settings["link"] == "tcp":
+        connection = socket.create_connection((host, int(number)), _CONNECT_S)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    else:
+        family, *_, address = socket.getaddrinfo(host, int(number), type=socket.SOCK_DGRAM)[0]
+        connection = socket.socket(family, socket.SOCK_DGRAM)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        connection.bind(address)
+    connection.setblocking(False)
+    return connection, None
+
+
+def open_serial(name: str, baud: int) -> tuple[Any, str | None]:
+    """Return the open serial port and a note, or none; raises OSError or ValueError."""
     import serial
 
     port = serial.Serial()
@@ -133,15 +165,21 @@ def _discard_stale(handle: int) -> None:
             return
 
 
-def read_until_lost(port: Any, outlet: Outlet) -> None:
+def read_until_lost(port: Any, outlet: Outlet, poll_plan: dict[str, Any] | None) -> None:
     """Pass on what the port gives until it is gone; raises BrokenPipeError when the recorder is."""
     handle = port.fileno()
+    is_datagram = isinstance(port, socket.socket) and port.type == socket.SOCK_DGRAM
+    due_s = time.monotonic()
     while True:
         poll = select.poll()
         if not outlet.full:
             poll.register(handle, select.POLLIN)
         poll.register(outlet.handle, 0 if outlet.empty else select.POLLOUT)
-        ready_handles = dict(poll.poll())
+        wait_ms = None
+        if poll_plan:
+            due_s = ask(handle, outlet, poll_plan, due_s)
+            wait_ms = max(0.0, 1e3 * (due_s - time.monotonic()))
+        ready_handles = dict(poll.poll(wait_ms))
         if handle in ready_handles:
             try:
                 data = os.read(handle, _READ_BYTES)
@@ -150,12 +188,29 @@ def read_until_lost(port: Any, outlet: Outlet) -> None:
             except OSError:
                 return
             stamp_ns = time.monotonic_ns()
-            if not data:
+            if data:
+                outlet.put(DATA, stamp_ns, data)
+            elif not is_datagram:  # a datagram may be empty
                 return
-            outlet.put(DATA, stamp_ns, data)
         if ready_handles.get(outlet.handle, 0) & select.POLLERR:
             raise BrokenPipeError
         outlet.drain()
+
+
+def ask(handle: int, outlet: Outlet, plan: dict[str, Any], due_s: float) -> float:
+    """Write the bytes of a poll if it is due, tell so, and return when the next one is [s]."""
+    now_s = time.monotonic()
+    if now_s < due_s:
+        return due_s
+    try:
+        os.write(handle, bytes.fromhex(plan["bytes"]))
+    except BlockingIOError:
+        pass  # the port takes no more: this one is left out
+    except OSError:
+        return now_s + _RETRY_S  # a lost port shows when it is read
+    else:
+        outlet.tell(EVENT_ASKED)
+    return max(due_s + 1.0 / plan["rate_hz"], now_s)
 
 
 def reopen(settings: dict[str, Any], outlet: Outlet) -> Any:
@@ -163,9 +218,11 @@ def reopen(settings: dict[str, Any], outlet: Outlet) -> Any:
     poll = select.poll()
     poll.register(outlet.handle, 0)
     end = time.monotonic() + settings["reconnect_s"]
+    if settings["link"] == "tcp" and poll.poll(_RETRY_S * 1000):  # a server that drops at once is not hammered
+        raise BrokenPipeError
     while time.monotonic() < end:
         try:
-            port, _ = open_port(settings["port"], settings["baud"])
+            port, _ = open_port(settings)
         except (OSError, ValueError):
             if poll.poll(_RETRY_S * 1000):
                 raise BrokenPipeError from None

@@ -3,46 +3,58 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from candata.errors import CandataError, SetupError, UsageError, Where
-from candata.record import bursts
-from candata.record.calibration import Calibration, calibrate
-from candata.record.devices._contract import Device, Frame, States
+from candata.record.addresses import Address, StreamSource, require_distinct
+from candata.record.calibration import Calibration
+from candata.record.devices._contract import Commands, Device, Frame, States
+from candata.record.drift import DriftWindow, drift_text, resting_hand
 from candata.record.logs import LogMeta, LogWriter, meta_of
-from candata.record.reader_link import Event, ReaderLink, port_error
+from candata.record.poll import poll_of
+from candata.record.reader_link import Event, ReaderLink, port_error, wait_for_events
+from candata.record.recorder_errors import check_space, no_state, reader_died
 from candata.record.recorder_tally import RecorderTally, join_states
 from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
+from candata.record.session_run import RunningSession
+from candata.record.stream_recorder import StreamRecording, open_streams
+from candata.schema.contact import fingertip_contact
 
+_WAIT_S = 0.05
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 
 def record(
     device: Device,
-    port: str,
+    port: str | Address,
     out: Path,
     *,
     name: str,
     settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
+    session: RunningSession | None = None,
+    streams: Sequence[StreamSource] = (),
     stop: Callable[[], bool] = lambda: False,
     show: Callable[[RecorderView], None] = lambda view: None,
     say: Callable[[str], None] = lambda text: None,
 ) -> RecordingReport:
-    """Listen to a port until told to stop, and return the report; not one byte is written to the port.
+    """Listen to a hand and the streams beside it until told to stop, and return the report.
+
+    Not one byte is written to a port or socket unless `settings.poll_rad` is given.
 
     Parameters
     ----------
     device : Device
         What the bytes mean.
-    port : str
-        Serial port.
+    port : str or Address
+        Serial port, or the address of a log that is played as one.
     out : Path
         Log to write; must not exist.
     name : str
@@ -51,6 +63,10 @@ def record(
         How to record.
     overrides : dict, optional
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
+    session : RunningSession, optional
+        Makes marks of episodes; it ends the recording when it is done, and a drift check follows.
+    streams : sequence of StreamSource
+        What is recorded beside the hand into the same log.
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
@@ -59,53 +75,42 @@ def record(
     Raises
     ------
     UsageError
-        When `out` exists.
+        When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
     SetupError
-        When the port cannot be opened, the disk is full, or pyserial is missing. Later failures are in the report.
+        When a port or address cannot be opened, the disk is full, or pyserial is missing; the report has later ones.
     """
     settings = settings or RecorderSettings()
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     check_space(out, settings.reserve_bytes)
     offset_ns = time.time_ns() - time.monotonic_ns()
-    meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
-    with ReaderLink(port, meta.baud, settings.reconnect_s) as link:
+    address = Address("serial", port) if isinstance(port, str) else port
+    meta = meta_of(device, name, **{**(overrides or {}), "port": address.place, "wall_offset_ns": offset_ns})
+    address = replace(address, baud=meta.baud)
+    poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
+    require_distinct(streams)
+    with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
             say(open_event.facts["note"])
-        session = _Session(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say)
+        writer = LogWriter(out, meta)
+        recording = _Recording(device, meta, writer, settings, open_event.stamp_ns, say, session)
         failure: CandataError | None = None
         try:
-            session.run(link, stop, show)
+            recording.streams = [
+                StreamRecording(source, stream_link, writer, event.stamp_ns, settings.patience_s, say)
+                for source, stream_link, event in opened
+            ]
+            recording.run(link, stop, show)
         except CandataError as error:
             failure = error
         finally:
-            unwritten = session.close()
+            unwritten = recording.close()
     failure = failure or unwritten
-    return RecordingReport(session.facts(port, out, failure), failure)
+    return RecordingReport(recording.facts(address.place, out, failure), failure)
 
 
-def check_space(out: Path, reserve_bytes: int) -> None:
-    """Refuse a disk with less free space than the reserve.
-
-    Raises
-    ------
-    SetupError
-        When the disk is too full.
-    """
-    folder = next(parent for parent in out.absolute().parents if parent.is_dir())
-    free = shutil.disk_usage(folder).free
-    if free < reserve_bytes:
-        raise SetupError(
-            "the disk is nearly full",
-            expected=f"{reserve_bytes / 1e6:.0f} MB free",
-            found=f"{free / 1e6:.0f} MB",
-            where=Where(path=str(out)),
-            fix="make room, choose another --out, or lower --reserve-mb",
-        )
-
-
-class _Session:
+class _Recording:
     """A recording under way."""
 
     def __init__(
@@ -116,6 +121,7 @@ class _Session:
         settings: RecorderSettings,
         opened_ns: int,
         say: Callable[[str], None],
+        session: RunningSession | None,
     ) -> None:
         self._device, self._meta, self._writer, self._settings = device, meta, writer, settings
         self._say, self._opened_ns = say, opened_ns
@@ -127,35 +133,40 @@ class _Session:
         self._window_start_ns: int | None = None
         self._resting_ns = opened_ns  # since when the hand could be calibrated
         self._newest = np.zeros((len(meta.fingertip_names), 3))
+        self._contact = np.zeros(len(meta.fingertip_names), bool)
+        self._session, self._drift = session, DriftWindow(settings.calibrate_s)
+        if session is not None:
+            session.open(writer)
         self._unplugged = False
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
-        self._bursts = False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
+        self.streams: Sequence[StreamRecording] = ()
+        self._end_stamp_ns = opened_ns
 
     def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[RecorderView], None]) -> None:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
         while True:
             now_ns, end_ns = time.monotonic_ns(), self._end_ns()
-            if stop() or now_ns >= end_ns:
-                self.ended = "stopped" if now_ns < end_ns else "duration"
+            is_done = self._session is not None and self._session.is_done
+            if stop() or now_ns >= end_ns or is_done:
+                self.ended = "duration" if now_ns >= end_ns else "episodes" if is_done else "stopped"
+                self._take_last(link, now_ns)
+                self._check_drift(link, show)
+                return
+            self._receive(link, show)
+            if link.ended:
+                self.ended = "replayed"
                 self._take_last(link, now_ns)
                 return
-            self._take(link.receive(0.05))
-            self._tick(show)
-            if link.ended:
-                raise SetupError(
-                    "the reader process died",
-                    where=Where(path=link.port),
-                    fix="the log is whole up to here; start again",
-                )
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
+        self._end_stamp_ns = time.monotonic_ns()
         try:
             if not self._writer.failed:
-                self._writer.statistics(time.monotonic_ns(), self._tally.statistics(time.monotonic_ns()))
+                self._statistics(self._end_stamp_ns)
             self._writer.close()
         except SetupError as error:
             return error
@@ -172,20 +183,13 @@ class _Session:
             "port": port,
             "ended": "failed" if failure else self.ended,
             "problem": failure.problem if failure else None,
-            "rows": tally.frames["state"],
-            "commands": tally.frames["command"],
-            "other_frames": tally.frames["other"],
-            "duration_s": round(tally.duration_s, 6),
-            "rate_hz": round(tally.rate_hz, 3),
-            "gaps": tally.gaps,
-            "longest_gap_s": round(tally.longest_gap_s, 6),
-            "bursts": bursts.remedy(port) if tally.in_bursts else None,
-            "losses": tally.losses(),
-            "saturated": tally.saturated(),
-            "unplugs": tally.unplugs,
+            **tally.facts(port),
             "calibrated": self._calibration is not None,
+            **(self._session.facts() if self._session is not None else {}),
             "bytes": out.stat().st_size,
             "sha256": sha256,
+            "polled": self._settings.poll_rad is not None,
+            "streams": {stream.source.name: stream.facts(self._end_stamp_ns) for stream in self.streams},
         }
 
     def _end_ns(self) -> float:
@@ -200,8 +204,38 @@ class _Session:
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
                 break
+        for stream in self.streams:
+            stream.take([event for event in stream.link.receive(0.0) if event.stamp_ns <= end_ns])
+            if stream.is_waiting:
+                raise stream.never_heard(end_ns)
         if not self._tally.frames["state"]:
-            raise self._no_state()
+            raise no_state(self._tally, self._meta)
+
+    def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
+        is_played = link.address.link == "log"
+        if self._session is None or self._calibration is None or self._unplugged or is_played:
+            return
+        self._say("the session is over; leave the hand at rest and untouched: the forces are checked for drift")
+        self._drift.open(time.monotonic_ns())
+        while (drift := self._drift.result(self._calibration, self._meta, self._settings.limits)) is None:
+            self._receive(link, show)
+        self._session.drifted(time.monotonic_ns(), drift)
+        self._say(drift_text(drift))
+
+    def _receive(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
+        """Take what has come on all links, and do what is due; a played log may end."""
+        wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
+        self._take(link.receive(0.0))
+        for stream in self.streams:
+            stream.take(stream.link.receive(0.0))
+        self._tick(show)
+        if link.ended and link.address.link != "log":
+            raise reader_died(self._meta.port)
+
+    def _statistics(self, now_ns: int) -> None:
+        streams = {stream.source.name: stream.facts(now_ns) for stream in self.streams}
+        self._writer.statistics(now_ns, {**self._tally.statistics(now_ns), "streams": streams})
 
     def _take(self, events: Sequence[Event]) -> None:
         for event in events:
@@ -215,7 +249,9 @@ class _Session:
             elif event.kind == "back":
                 self._go_on_replugged(event)
             elif event.kind == "failed":
-                raise port_error(self._meta.port, event.facts)
+                raise port_error(Address("serial", self._meta.port), event.facts)
+            elif event.kind == "asked":
+                self._asked(event)
 
     def _go_on_replugged(self, event: Event) -> None:
         self._unplugged = False
@@ -240,11 +276,17 @@ class _Session:
             self._bad_since_ns = self._bad_since_ns or event.stamp_ns
         self._frames(frames)
 
+    def _asked(self, event: Event) -> None:
+        """Log a set-point that was written to the hand; its echo on the wire is none of its own."""
+        self._tally.frame(Frame("command", b"", event.stamp_ns))
+        self._writer.commands([event.stamp_ns], Commands(np.array([self._settings.poll_rad], np.float64)))
+
     def _frames(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
-            self._tally.frame(frame)
+            if frame.kind != "command" or self._settings.poll_rad is None:
+                self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
-        if commands:
+        if commands and self._settings.poll_rad is None:
             positions = self._device.commands([frame.data for frame in commands])
             self._writer.commands([frame.stamp_ns for frame in commands], positions)
         states = [frame for frame in frames if frame.kind == "state"]
@@ -256,8 +298,11 @@ class _Session:
         self._writer.states(stamps_ns, states)
         self._tally.states(states)
         bias = self._calibration.force_bias_counts if self._calibration else 0.0
-        self._newest = (states.force_counts[-1] - bias) * self._meta.newton_per_count
+        force_N = (states.force_counts - bias) * self._meta.newton_per_count
+        self._newest = force_N[-1]
         if self._window is None:
+            self._touch(stamps_ns, force_N)
+            self._drift.add(stamps_ns, states)
             return
         if self._window_start_ns is None:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
@@ -265,17 +310,17 @@ class _Session:
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
             self._calibrate(join_states(self._window))
 
+    def _touch(self, stamps_ns: list[int], force_N: NDArray) -> None:
+        rule = self._settings.contact
+        flags = fingertip_contact(force_N, rule.threshold_n, rule.release_n, self._contact)
+        self._contact = flags[-1]
+        if self._session is not None and not self._drift.is_open:
+            self._session.begin(stamps_ns[0])
+            self._session.touched(stamps_ns, flags)
+
     def _calibrate(self, states: States) -> None:
-        meta = self._meta
-        self._calibration = calibrate(
-            states,
-            self._settings.calibrate_s,
-            joint_names=meta.joint_names,
-            fingertip_names=meta.fingertip_names,
-            newton_per_count=meta.newton_per_count,
-            rate_hz=meta.rate_hz,
-            limits=self._settings.limits,
-        )
+        settings = self._settings
+        self._calibration = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
         self._window = None
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")
@@ -283,15 +328,20 @@ class _Session:
     def _tick(self, show: Callable[[RecorderView], None]) -> None:
         """Do what is due: flush, statistics with fsync, the view, the checks."""
         now_ns = time.monotonic_ns()
+        if self._session is not None and not self._drift.is_open:
+            self._session.tick(now_ns)
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()
         if self._is_due("statistics", now_ns, _STATISTICS_S):
-            self._writer.statistics(now_ns, self._tally.statistics(now_ns))
+            self._statistics(now_ns)
             self._writer.sync_behind()
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             self._check_link(now_ns)
-            self._check_bursts()
+            if note := self._tally.bursts_note(self._meta.port):
+                self._say(note)
+            for stream in self.streams:
+                stream.check(now_ns)
         if self._is_due("show", now_ns, _SHOW_S):
             show(self._view(now_ns))
 
@@ -308,40 +358,13 @@ class _Session:
             return
         if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
             if not sum(self._tally.frames.values()):
-                raise self._no_state()
+                raise no_state(self._tally, self._meta)
             if not self._bad:
                 self._bad = True
                 self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
         if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
             self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
-
-    def _check_bursts(self) -> None:
-        """Say once that an adapter hands bytes over in bursts."""
-        if self._tally.in_bursts and not self._bursts:
-            self._bursts = True
-            self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
-
-    def _no_state(self) -> SetupError:
-        place = Where(path=self._meta.port)
-        if not self._tally.bytes:
-            return SetupError(
-                "the port gave no byte", where=place, fix="switch the hand on, start the program that drives it"
-            )
-        if self._tally.frames["command"]:
-            return SetupError(
-                "the hand gave no state",
-                found=f"{self._tally.frames['command']} requests without a reply",
-                where=place,
-                fix="switch the hand on; check that the receiver hears both directions of the pair",
-            )
-        return SetupError(
-            "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
-            expected=f"frames of {self._meta.device} at {self._meta.baud} baud",
-            found=f"{self._tally.bytes} bytes without one",
-            where=place,
-            fix="check --baud, --device and the wiring",
-        )
 
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
@@ -352,16 +375,21 @@ class _Session:
             phase = "waiting"
         elif self._window is not None:
             phase = "calibrating"
+        elif self._drift.is_open:
+            phase = "checking"
         return RecorderView(
             phase=phase,
             elapsed_s=(now_ns - self._opened_ns) / 1e9,
             rate_hz=tally.recent_rate_hz(now_ns),
             nominal_hz=self._meta.rate_hz,
             force_N=self._newest,
+            contact=self._contact,
             fingertip_names=self._meta.fingertip_names,
             frames=dict(tally.frames),
             losses=tally.losses(),
             saturated=tally.saturated(),
             gaps=tally.gaps,
             size_bytes=self._writer.size,
+            session=None if self._session is None else self._session.view(now_ns),
+            streams=tuple(stream.view(now_ns) for stream in self.streams),
         )

@@ -10,8 +10,11 @@ from numpy.typing import NDArray
 
 from candata.errors import CandataError
 from candata.record.calibration import CalibrationLimits
+from candata.record.session_run import SessionView
+from candata.schema.episode import ContactRule
 
-Phase = Literal["waiting", "calibrating", "recording", "unplugged"]
+Phase = Literal["waiting", "calibrating", "recording", "unplugged", "checking"]
+StreamPhase = Literal["waiting", "recording", "silent", "unplugged"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,10 @@ class RecorderSettings:
         Free space on the disk at which the recording ends.
     patience_s : float
         How long a port may be silent, or give bytes without one good frame, before it is said [s].
+    contact : ContactRule
+        When a fingertip is shown as touching, and an episode begins by touch; its scale is not used.
+    poll_rad : tuple of float, optional
+        Set-point of the joints that is written to the hand, again and again; None: nothing is ever written.
     """
 
     duration_s: float | None = None
@@ -40,6 +47,36 @@ class RecorderSettings:
     reconnect_s: float = 10.0
     reserve_bytes: int = 200_000_000
     patience_s: float = 2.0
+    contact: ContactRule = field(default_factory=ContactRule)
+    poll_rad: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class StreamView:
+    """What can be seen of a stream beside the hand.
+
+    Attributes
+    ----------
+    name, phase : str
+        Its name in the log; `waiting` (no good frame yet), `recording`, `silent` or `unplugged`.
+    rate_hz, nominal_hz : float
+        Frames in the last second, and what the device gives when all is well.
+    frames, gaps : int
+        Frames so far; intervals of more than 1.5 periods.
+    losses : dict
+        What was lost, by kind.
+    silent_s : float
+        Since the last good frame [s].
+    """
+
+    name: str
+    phase: StreamPhase
+    rate_hz: float
+    nominal_hz: float
+    frames: int
+    gaps: int
+    losses: dict[str, int]
+    silent_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,19 +86,25 @@ class RecorderView:
     Attributes
     ----------
     phase : str
-        `waiting` (no good frame yet), `calibrating`, `recording` or `unplugged`.
+        `waiting` (no good frame yet), `calibrating`, `recording`, `unplugged`, or `checking` (of drift, at the end).
     elapsed_s : float
         Since the port was opened [s].
     rate_hz, nominal_hz : float
         States in the last second, and what the device gives when all is well.
     force_N : (F, 3) float64 [N]
         Newest force of each fingertip, less the bias where calibrated.
+    contact : (F,) bool
+        Whether each fingertip touches something, by the rule of the settings.
     fingertip_names : tuple of str
         In the order of `force_N`.
     frames, losses, saturated : dict
         Counts so far, by kind.
     gaps, size_bytes : int
         Intervals of more than 1.5 periods; size of the log.
+    session : SessionView or None
+        Episodes and marks; None where no session is recorded.
+    streams : tuple of StreamView
+        What is recorded beside the hand.
     """
 
     phase: Phase
@@ -69,12 +112,15 @@ class RecorderView:
     rate_hz: float
     nominal_hz: float
     force_N: NDArray[np.float64]
+    contact: NDArray[np.bool_]
     fingertip_names: tuple[str, ...]
     frames: dict[str, int]
     losses: dict[str, int]
     saturated: dict[str, int]
     gaps: int
     size_bytes: int
+    session: SessionView | None = None
+    streams: tuple[StreamView, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,33 @@ QUATERNION_TOLERANCE = 1e-3
 
 
 class ContactRule(Record):
-    """How `fingertip_contact` came from `fingertip_force`."""
+    """How `fingertip_contact` came from `fingertip_force`; with `release_n`, contact ends below that force only."""
 
     method: Literal["sum_abs"] = "sum_abs"
     threshold_n: float = 0.3
     newton_per_count: float | None = None
+    release_n: float | None = Field(default=None, exclude_if=lambda force: force is None)
+
+
+class StreamClock(Record):
+    """How the clock of one stream was found against the clock of the log.
+
+    `method` is `motion` (its speed against that of the hand's joints), `device_clock` (its own clock against the
+    host's stamps) or `stamps` (nothing was fitted: `reason` says why). `offset_s` and `drift_ppm` were taken off its
+    stamps. `correlation` is the height of the peak by which they were found, `sharpness` how far it stands above the
+    next one, `windows` in how many windows; `residual_s` is how far the windows (or the stamps) lie from the line. By a
+    device's clock, the drift is that clock's and the offset how late the host's stamps were in the middle.
+    """
+
+    stream: str
+    method: Literal["motion", "device_clock", "stamps"]
+    offset_s: float = 0.0
+    drift_ppm: float = 0.0
+    correlation: float | None = None
+    sharpness: float | None = None
+    windows: int = 0
+    residual_s: float | None = None
+    reason: str = ""
 
 
 class Alignment(Record):
@@ -35,6 +57,7 @@ class Alignment(Record):
     method: str
     offset_s: float = 0.0
     drift_ppm: float = 0.0
+    streams: tuple[StreamClock, ...] = Field(default=(), exclude_if=lambda streams: not streams)
 
 
 class EpisodeMeta(Record):

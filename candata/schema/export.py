@@ -24,6 +24,7 @@ from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
 from candata.schema.report import Report
 from candata.schema.scene import SceneFile, TableMap
+from candata.schema.session import SessionFile
 from candata.schema.topics import FramesMap, TopicMap
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -57,6 +58,7 @@ _WRITTEN_RECORDS: dict[str, type[Record]] = {
     "registry": RegistryFile,
     "remote-version": RemoteVersion,
     "report": Report,
+    "session": SessionFile,
     "tag": TagFile,
     "version": VersionFile,
 }

@@ -26,6 +26,7 @@ _HOMES = {
     "ObjectConformance": "candata.testing.objects",
     "PolicyConformance": "candata.testing.policies",
     "SceneConformance": "candata.testing.scenes",
+    "StreamConformance": "candata.testing.streams",
 }
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "ObjectConformance",
     "PolicyConformance",
     "SceneConformance",
+    "StreamConformance",
 ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import threading
 import time
 import tty
@@ -110,3 +111,12 @@ def hand(tmp_path) -> Iterator[Callable[..., HandOnPty]]:
     yield make
     for one in made:
         one.unplug()
+
+
+@pytest.fixture
+def file_limit():
+    """Lets files of this process grow to 150 kB only: the nearest to a full disk that needs no privilege."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)

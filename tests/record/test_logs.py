@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-import resource
 import tracemalloc
 from dataclasses import replace
 
@@ -194,15 +193,6 @@ def test_a_standing_file_is_never_written_over(written):
     with pytest.raises(UsageError, match="exists already"):
         LogWriter(written, META)
     assert written.read_bytes() == before
-
-
-@pytest.fixture
-def file_limit():
-    """Lets files of this process grow to 150 kB only: the nearest to a full disk that needs no privilege."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_the_first_error_of_the_disk_is_final_and_costs_nothing_flushed(tmp_path, rng, file_limit):

@@ -19,6 +19,7 @@ from candata.datasets import open_dataset
 from candata.errors import DataError
 from candata.record.logs import read_log
 from candata.record.recover import recover
+from candata.record.session_run import FILE_NAME, LOG_NAME, session_of
 from tests.cli.command import run
 
 pytestmark = pytest.mark.hard
@@ -130,6 +131,36 @@ def test_killed_at_random_moments(tmp_path):
 @pytest.mark.slow
 def test_killed_at_fifty_random_moments(tmp_path):
     kills(tmp_path, 50, seed=2)
+
+
+def marks_beside(folder: Path) -> list[dict[str, object]]:
+    """The marks in `session.json`, none before it is there."""
+    path = folder / FILE_NAME
+    return json.loads(path.read_text())["marks"] if path.exists() else []
+
+
+def test_a_killed_session_keeps_every_mark_that_was_made(tmp_path):
+    folder = tmp_path / "session"
+    words = ("--session", folder, "--episodes", 50, "--duration", 0.2, "--gap", 0.05, "--calibrate-s", 0.5, "--plain")
+    still = ("--duration-s", 0.6, "--still", 30, "--rate", 83, "--json", "--link", tmp_path / "hand")
+    with start("emulate", "xhand", *still, stdout=subprocess.PIPE) as hand:
+        assert hand.stdout is not None
+        hand.stdout.readline()
+        with start("record-real", "--port", tmp_path / "hand", *words) as recorder:
+            wait_until(lambda: len(marks_beside(folder)) >= 7)
+            recorder.kill()
+            recorder.wait()
+        hand.kill()
+    kept = marks_beside(folder)  # whole, at whatever moment
+    saved = recover(folder / LOG_NAME)
+    session, drift = session_of(read_log(saved.out))
+    assert [mark.model_dump(mode="json") for mark in session.marks][: len(kept)] == kept
+    assert len(session.marks) <= len(kept) + 1  # a mark is flushed to the log before it is in the file
+    assert drift is None
+    done = run("import", "log", saved.out, "--out", tmp_path / "set")
+    assert done.code == 0
+    ended = [e.number for e in session.episodes if e.end_ns is not None]
+    assert open_dataset(tmp_path / "set").ids[: len(ended)] == tuple(f"session-{number:04d}" for number in ended)
 
 
 def test_a_hand_that_is_killed_leaves_a_log_that_says_so(tmp_path):

@@ -9,7 +9,10 @@ import pytest
 from rich.console import Console
 
 from candata.record.panel import line, panel
-from candata.record.recorder_values import RecorderView
+from candata.record.recorder_values import RecorderView, StreamView
+from candata.record.session_run import SessionView
+from candata.schema.contact import fingertip_contact
+from candata.schema.session import SessionEpisode
 
 LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0}
 
@@ -28,7 +31,8 @@ def view_of(**changes) -> RecorderView:
         "gaps": 0,
         "size_bytes": 36_900_000,
     }
-    return RecorderView(**(fields | changes))
+    fields |= changes
+    return RecorderView(**{"contact": fingertip_contact(fields["force_N"]), **fields})
 
 
 def drawn(view: RecorderView, notes=()) -> str:
@@ -69,3 +73,37 @@ def test_losses_are_counted_in_the_panel_and_the_line():
     )
     assert "index=0.4* mid=17.0*" in line(view)
     assert "nothing lost" in line(view_of())
+
+
+def test_streams_beside_the_hand_show_their_rate_and_their_silence():
+    streams = (
+        StreamView("arm", "recording", 199.8, 200.0, 16_000, 0, {"malformed": 0}, 0.0),
+        StreamView("pose", "silent", 0.0, 15.0, 700, 3, {"malformed": 2}, 4.2),
+    )
+    view = view_of(streams=streams)
+    text = drawn(view)
+    assert "arm" in text
+    assert "200" in text
+    assert "silent for 4.2 s" in text
+    assert line(view).endswith(
+        "| arm: 200 Hz, 16000 frames, 0 gaps, nothing lost | pose: 0 Hz, 700 frames, 3 gaps, silent for 4.2 s"
+    )
+
+
+def test_a_session_shows_its_episodes_its_marks_and_the_keys():
+    one = SessionEpisode(number=1, begin_ns=0, end_ns=1, outcome="slip")
+    episodes = (one, one.model_copy(update={"number": 2, "discarded": True}), SessionEpisode(number=3, begin_ns=5))
+    session = SessionView(episodes, ("begin (key space): episode 3",), 2.5, 20, "space begins/ends")
+    view = view_of(session=session)
+    text = drawn(view)
+    for words in (
+        "episode 3 of 20: 2.5 s",
+        "1 slip",
+        "1 not judged",
+        "1 discarded",
+        "begin (key space)",
+        "space begins",
+    ):
+        assert words in text
+    assert line(view).endswith("| episode 3 of 20: 2.5 s")
+    assert "episode" not in line(view_of())

@@ -32,6 +32,14 @@ JOINT_NAMES = (
     "pinky2",
 )
 FINGERTIP_NAMES = ("thumb_rota2", "index2", "mid2", "ring2", "pinky2")
+#: Range of each joint [rad]: XHand1 wiki of PNDbotics, the table of the scene's hand.
+JOINT_LIMITS = (
+    (0.0, 1.832),
+    (-0.698, 1.57),
+    (0.0, 1.57),
+    (-0.174, 0.174),
+    *[(0.0, 1.919)] * 8,
+)
 #: Two public users of the raw counts scale by it; the paper of the hand states a resolution of 0.05 N. A setting.
 NEWTON_PER_COUNT = 0.1
 
@@ -109,4 +117,5 @@ DEVICE = Device(
     decode_states=decode_states,
     decode_commands=decode_commands,
     encoder=Encoder(wire.command_frames, wire.state_frames, wire.with_heads),
+    joint_limits=JOINT_LIMITS,
 )

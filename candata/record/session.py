@@ -1,0 +1,155 @@
+"""Sessions: marks in, episodes out; no clock, no file, no terminal.
+
+A mark begins or ends an episode, or judges one. A judgement counts for the episode under way, or for the last one if
+none is under way; the last judgement of an episode counts. A mark that fits no episode is kept as it was typed, with
+a note, and changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from candata.schema.session import BEGIN, DISCARD, END, Mark, MarkKind, MarkSource, SessionEpisode
+
+#: Key to the mark that it makes; the space bar begins and ends.
+SPACE = " "
+KEYS: Mapping[str, MarkKind] = {"s": "success", "l": "slip", "d": "drop", "m": "miss", "x": "discard"}
+#: What the keys do, for people.
+KEY_WORDS = "space begins/ends · s success · l slip · d drop · m miss · x discard"
+
+
+class Session:
+    """The marks and the episodes so far."""
+
+    def __init__(self) -> None:
+        """Begin without marks."""
+        self.marks: list[Mark] = []
+        self.episodes: list[SessionEpisode] = []
+
+    @property
+    def open_episode(self) -> SessionEpisode | None:
+        """The episode under way, None if none is."""
+        return self.episodes[-1] if self.episodes and self.episodes[-1].end_ns is None else None
+
+    def typed(self, key: str) -> MarkKind | None:
+        """Return the mark that a key makes now, None for a key that makes none."""
+        if key == SPACE:
+            return "end" if self.open_episode else "begin"
+        return KEYS.get(key)
+
+    def mark(self, mark: MarkKind, time_ns: int, by: MarkSource = "key", typed: str = "") -> Mark:
+        """Return the mark as it is kept, after it did what it can do."""
+        number, note = self._apply(mark, time_ns)
+        kept = Mark(time_ns=time_ns, mark=mark, by=by, typed=typed, episode=number, note=note)
+        self.marks.append(kept)
+        return kept
+
+    def _apply(self, mark: MarkKind, time_ns: int) -> tuple[int | None, str]:
+        """Change the episodes; return the number of the one that the mark fits, and a note."""
+        is_open = self.open_episode is not None
+        if mark == BEGIN:
+            if is_open:
+                return None, f"episode {len(self.episodes)} is under way: this begin is kept and begins nothing"
+            self.episodes.append(SessionEpisode(number=len(self.episodes) + 1, begin_ns=time_ns))
+            return len(self.episodes), ""
+        if mark == END and not is_open:
+            return None, "no episode is under way: this end is kept and ends nothing"
+        if not self.episodes:
+            return None, f"no episode has begun: this {mark} is kept and judges nothing"
+        if mark == END:
+            return self._change(end_ns=time_ns), ""
+        if mark == DISCARD:
+            return self._change(discarded=True), ""
+        earlier = self.episodes[-1].outcome
+        note = f"episode {len(self.episodes)} was {earlier}, now {mark}" if earlier not in (None, mark) else ""
+        return self._change(outcome=mark), note
+
+    def _change(self, **fields: Any) -> int:
+        """Change the newest episode and return its number."""
+        self.episodes[-1] = self.episodes[-1].model_copy(update=fields)
+        return len(self.episodes)
+
+
+def replay(marks: Iterable[Mark]) -> Session:
+    """Return the session that `marks`, in the order in which they were made, lead to."""
+    session = Session()
+    for mark in marks:
+        session.mark(mark.mark, mark.time_ns, mark.by, mark.typed)
+    return session
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """What marks a session by itself; without any of it, keys alone do.
+
+    Attributes
+    ----------
+    episodes : int or None
+        How many episodes the session has; it ends after them.
+    length_s : float or None
+        Length of an episode that begins by the schedule [s].
+    gap_s : float
+        Rest before each episode by the schedule; or, by contact, how long the hand touches nothing before the
+        episode ends [s].
+    on_contact : bool
+        Whether an episode begins when a fingertip touches something.
+    """
+
+    episodes: int | None = None
+    length_s: float | None = None
+    gap_s: float = 1.0
+    on_contact: bool = False
+
+    def is_done(self, session: Session) -> bool:
+        """Tell whether all episodes were recorded."""
+        return self.episodes is not None and len(session.episodes) >= self.episodes and session.open_episode is None
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What the fingertips did so far: when one touched last, when none did last [ns]; null before the first time."""
+
+    touched_ns: int | None = None
+    free_ns: int | None = None
+
+    def seen(self, time_ns: int, is_touching: bool) -> Touch:
+        """Return it after a reading."""
+        return replace(self, touched_ns=time_ns) if is_touching else replace(self, free_ns=time_ns)
+
+
+def due_mark(plan: SessionPlan, session: Session, now_ns: int, start_ns: int, touch: Touch) -> MarkKind | None:
+    """Return the mark that a plan makes at `now_ns`, None if none is due.
+
+    Parameters
+    ----------
+    plan : SessionPlan
+        What marks the session.
+    session : Session
+        Marks and episodes so far.
+    now_ns, start_ns : int
+        Now, and since when episodes may begin [ns].
+    touch : Touch
+        What the fingertips did up to now.
+    """
+    open_episode = session.open_episode
+    if open_episode is None:
+        if plan.episodes is not None and len(session.episodes) >= plan.episodes:
+            return None
+        last = session.episodes[-1].end_ns if session.episodes else None
+        rested_ns = start_ns if last is None else max(start_ns, last)
+        return "begin" if _is_begin_due(plan, now_ns, rested_ns, touch) else None
+    if plan.on_contact:
+        quiet_ns = now_ns - max(touch.touched_ns or 0, open_episode.begin_ns)
+        return "end" if quiet_ns >= 1e9 * plan.gap_s else None
+    is_over = plan.length_s is not None and now_ns - open_episode.begin_ns >= 1e9 * plan.length_s
+    return "end" if is_over else None
+
+
+def _is_begin_due(plan: SessionPlan, now_ns: int, rested_ns: int, touch: Touch) -> bool:
+    """Tell whether an episode begins; one by contact only after the fingertips were free since the last one."""
+    if plan.on_contact:
+        free_ns, touched_ns = touch.free_ns, touch.touched_ns
+        return free_ns is not None and touched_ns is not None and rested_ns <= free_ns < touched_ns == now_ns
+    return plan.length_s is not None and now_ns - rested_ns >= 1e9 * plan.gap_s
