@@ -81,14 +81,13 @@ def drift_check(
 
 
 class DriftWindow:
-    """Windows of states after a session, one after the other, until the hand rested in one."""
+    """Windows of states after a session, each a quarter later than the one before, until the hand rested in one."""
 
     def __init__(self, duration_s: float) -> None:
         """Begin closed; a window lasts so long [s]."""
         self._duration_s = duration_s
         self._opened_ns: int | None = None
-        self._start_ns, self._end_ns = 0, 0
-        self._states: list[States] = []
+        self._parts: list[tuple[int, States]] = []
 
     @property
     def is_open(self) -> bool:
@@ -101,21 +100,19 @@ class DriftWindow:
 
     def add(self, stamps_ns: Sequence[int], states: States) -> None:
         """Take n states with their stamps [ns], if open."""
-        if not self.is_open:
-            return
-        self._start_ns = self._start_ns if self._states else stamps_ns[0]
-        self._end_ns = stamps_ns[-1]
-        self._states.append(states)
+        if self.is_open:
+            self._parts.append((stamps_ns[0], states))
 
     def result(self, before: Calibration, meta: LogMeta, limits: CalibrationLimits) -> DriftCheck | None:
         """Return the drift once the hand rested; the problem after `PATIENCE_S`; None while states are awaited."""
         is_late = time.monotonic_ns() - (self._opened_ns or 0) > 1e9 * (PATIENCE_S + self._duration_s)
-        if self._states and self._end_ns - self._start_ns >= 1e9 * self._duration_s:
-            drift = drift_check(before, join_states(self._states), self._duration_s, meta, limits)
-            self._states = []
+        if self._parts and self._parts[-1][0] - self._parts[0][0] >= 1e9 * self._duration_s:
+            drift = drift_check(before, join_states([s for _, s in self._parts]), self._duration_s, meta, limits)
             if not drift.problem or is_late:
                 return drift
-        return DriftCheck(problem="no state came") if is_late and not self._states else None
+            next_ns = self._parts[0][0] + 1e9 * self._duration_s / 4
+            self._parts = [part for part in self._parts if part[0] >= next_ns]
+        return DriftCheck(problem="too few states came") if is_late else None
 
 
 def _error_counts(calibration: Calibration) -> np.ndarray:

@@ -155,16 +155,11 @@ class _Recording:
                 self._take_last(link, now_ns)
                 self._check_drift(link, show)
                 return
-            wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
-            self._take(link.receive(0.0))
-            for stream in self.streams:
-                stream.take(stream.link.receive(0.0))
-            self._tick(show)
-            if link.ended and link.address.link == "log":
-                self.ended = "replayed"
-                return self._take_last(link, now_ns)
+            self._receive(link, show)
             if link.ended:
-                raise reader_died(str(link.address))
+                self.ended = "replayed"
+                self._take_last(link, now_ns)
+                return
 
     def close(self) -> CandataError | None:
         """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
@@ -218,7 +213,8 @@ class _Recording:
 
     def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
         """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
-        if self._session is None or self._calibration is None or self._unplugged:
+        is_played = link.address.link == "log"
+        if self._session is None or self._calibration is None or self._unplugged or is_played:
             return
         self._say("the session is over; leave the hand at rest and untouched: the forces are checked for drift")
         self._drift.open(time.monotonic_ns())
@@ -228,13 +224,13 @@ class _Recording:
         self._say(drift_text(drift))
 
     def _receive(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
-        """Take what has come on all links, and do what is due."""
+        """Take what has come on all links, and do what is due; a played log may end."""
         wait_for_events([link, *(stream.link for stream in self.streams)], _WAIT_S)
         self._take(link.receive(0.0))
         for stream in self.streams:
             stream.take(stream.link.receive(0.0))
         self._tick(show)
-        if link.ended:
+        if link.ended and link.address.link != "log":
             raise reader_died(self._meta.port)
 
     def _statistics(self, now_ns: int) -> None:
