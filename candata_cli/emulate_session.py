@@ -43,14 +43,17 @@ def place(
     Raises
     ------
     UsageError, SetupError
-        When an option means nothing, or the folder cannot be made.
+        When an option means nothing, the device is no hand, or the folder cannot be made.
     """
     from candata.errors import UsageError
+    from candata.record.devices import StreamDevice, device
 
     if device_name == SESSION:
         return HAND, scene or SCENE, _folder(link, hold, ports)
     if streams or ports:
         raise UsageError("--streams and --ports are options of a session", fix="emulate session, or leave them out")
+    if isinstance(device(device_name), StreamDevice):
+        raise UsageError(f"{device_name} is emulated beside a hand", fix="candata emulate session --link DIR")
     return device_name, scene or HAND_SCENE, None
 
 

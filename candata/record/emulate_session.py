@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from candata.errors import UnknownNameError, UsageError
 from candata.record.devices import Link, Signal, StreamDevice, stream
 from candata.record.devices._cobs_frames import Hello, hello_of
+from candata.record.devices._wire import wire_time_ns
 from candata.record.devices.cobs import RATE_HZ
 from candata.record.emulate_script import Script
 from candata.scenes import Scene
@@ -47,7 +48,9 @@ class SentStream:
     rate_hz : float
         Frames a second.
     delay_s : float
-        How long after the moment that it describes a frame is sent.
+        How long after the moment that it describes the first byte of a frame is sent.
+    wire_s : float
+        How long a frame is on a serial wire; 0 on a socket.
     values : dict of str to (n, ...) float64
         Signals in SI, a row for each row of the script.
     script_hz : float
@@ -68,6 +71,7 @@ class SentStream:
     script_hz: float
     write: Write
     delay_s: float = 0.0
+    wire_s: float = 0.0
     clock: tuple[float, float] = (0.0, 0.0)
     held: tuple[str, ...] = ()
 
@@ -201,6 +205,9 @@ def _of(
 ) -> SentStream:
     """Return the stream of a device; its own encoder writes the frames unless `write` does."""
     device = stream(device_name)
+    write = write or _encoder(device_name, device)
+    # Not frame 0, before which a board says hello.
+    frame = write({signal: block[0] for signal, block in values.items()}, 1, 0)
     return SentStream(
         name=name,
         device_name=device_name,
@@ -208,8 +215,9 @@ def _of(
         rate_hz=device.rate_hz,
         values=values,
         script_hz=script.rate_hz,
-        write=write or _encoder(device_name, device),
+        write=write,
         delay_s=delay_s,
+        wire_s=wire_time_ns(len(frame), device.baud) * 1e-9,
         clock=CLOCKS.get(name, (0.0, 0.0)),
         held=held,
     )

@@ -219,8 +219,8 @@ class StreamTally:
     Attributes
     ----------
     at_s, time_ns, device_time_ns, is_whole : list
-        The moment it describes [s from the start], when it was sent [ns since 1970], what the device's clock said,
-        whether it went out undamaged.
+        The moment it describes [s from the start], when its first byte was on the wire [ns since 1970], what the
+        device's clock said, whether it went out undamaged.
     dropped : int
         Frames that were not taken.
     faults : Counter
@@ -270,7 +270,8 @@ def play_streams(
 ) -> list[StreamTally]:
     """Return what was sent, once all streams have been played `passes` times (0: for ever), or a stop was asked for.
 
-    Each frame is sent at its own absolute time. Serial streams have the faults of frames, all have the stalls.
+    Each frame is written at its own absolute time, when its last byte would be on the wire. Serial streams have the
+    faults of frames, all have the stalls.
 
     Parameters
     ----------
@@ -283,7 +284,7 @@ def play_streams(
     """
     tallies = [StreamTally() for _ in streams]
     wall_ns, begin_ns = time.time_ns() - time.monotonic_ns(), time.monotonic_ns()
-    due = [(sent.delay_s, index, 0) for index, sent in enumerate(streams)]
+    due = [(sent.delay_s + sent.wire_s, index, 0) for index, sent in enumerate(streams)]
     heapq.heapify(due)
     try:
         while due and not stop():
@@ -298,7 +299,7 @@ def play_streams(
             heapq.heappop(due)
             next_s = (number + 1) / sent.rate_hz
             if passes == 0 or next_s < passes * sent.pass_s:
-                heapq.heappush(due, (next_s + sent.delay_s, index, number + 1))
+                heapq.heappush(due, (next_s + sent.delay_s + sent.wire_s, index, number + 1))
         for outlet in outlets:
             outlet.drain(DRAIN_S)
     finally:
@@ -328,7 +329,7 @@ def _send(
     if fault:
         tally.faults[fault] += 1
     tally.at_s.append(at_s)
-    tally.time_ns.append(time.monotonic_ns() + wall_ns)
+    tally.time_ns.append(time.monotonic_ns() + wall_ns - round(1e9 * sent.wire_s))
     tally.device_time_ns.append(device_time_ns)
     is_taken = outlet.write(data) == len(data)
     tally.is_whole.append(is_taken and fault in (None, "head"))

@@ -33,6 +33,7 @@ def test_options_that_mean_nothing_are_refused(tmp_path, capsys):
         (("session", "--link", folder, "--hold"), "--loop 0"),
         (("session", "--link", folder, "--ports", "80"), "1024"),
         (("xhand", "--streams", "arm"), "session"),
+        (("xarm",), "emulate session --link DIR"),
     ]:
         assert exit_code("emulate", *words) == 2
         assert said in capsys.readouterr().err

@@ -177,6 +177,13 @@ def test_clocks_of_devices_start_and_drift_on_their_own(streams):
     assert arm.device_time_ns(100) - arm.device_time_ns(0) == pytest.approx(100e9 * (1 + 20e-6), abs=1)
 
 
+def test_a_serial_frame_is_written_once_it_has_been_on_the_wire(streams):
+    wires = {sent.name: sent.wire_s for sent in streams}
+    assert wires["wrench"] == pytest.approx(16 * 10 / 19_200, abs=1e-9)
+    assert wires["finger"] == pytest.approx(383 * 10 / 460_800, abs=1e-9)
+    assert wires["arm"] == wires["pose"] == 0
+
+
 def test_the_wrist_feels_what_the_fingertips_do(script, episode, scene):
     """One force: its size is kept, its moment stands upright on it, with a lever of no more than the hand's length."""
     wrench = wrist_wrench(scene, episode["joint_position"][script.row], script)

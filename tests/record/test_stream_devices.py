@@ -285,6 +285,15 @@ def test_data_without_its_hello_is_told():
     assert "hello" in findings[0]
 
 
+def test_a_hello_that_changes_is_told_and_its_data_are_left_out():
+    other = cobs.hello_of([Signal("battery", (), "V")], 50.0)
+    data = HELLO.frame() + HELLO.data_frame(0, 0, VALUES)
+    values, framer, findings = heard(stream("cobs"), data + other.frame() + other.data_frame(1, 0, VALUES[:1]) + data)
+    assert len(values["battery"]) == 2
+    assert framer.counts["other_hello"] == 2
+    assert "changed its hello" in findings[0]
+
+
 def test_another_version_is_told():
     body = b"\x02\x00{}"
     _values, _framer, findings = heard(stream("cobs"), cobs.seal(body))

@@ -36,7 +36,8 @@ class CobsFramer(DelimitedFramer):
     """Cuts frames and joins each data frame to the hello that describes it.
 
     A `state` frame is two frames of the wire, the hello and the data, each with its zero byte, so that it says by
-    itself what it holds. Data before their hello count as `before_hello`. `lost` counts frames by their numbers.
+    itself what it holds. The first hello holds for the stream: another one and its data count as `other_hello`, data
+    before any as `before_hello`. `lost` counts frames by their numbers.
     """
 
     def __init__(self) -> None:
@@ -65,8 +66,10 @@ class CobsFramer(DelimitedFramer):
         hello = self._hello
         if body[1] != wire.DATA or len(body) < wire.DATA_PREFIX:
             return "malformed"
-        if hello is None or int.from_bytes(body[2:6], "little") != hello.identity:
+        if hello is None:
             return "before_hello"
+        if int.from_bytes(body[2:6], "little") != hello.identity:
+            return "other_hello"
         if len(body) != wire.DATA_PREFIX + 4 * hello.value_count:
             return "malformed"
         frame_number = int.from_bytes(body[6:10], "little")
@@ -77,13 +80,15 @@ class CobsFramer(DelimitedFramer):
         return "state", self._hello_frame + stuffed + wire.DELIMITER
 
     def _hear_hello(self, body: bytes, stuffed: bytes) -> tuple[FrameKind, bytes] | str:
-        """Keep a hello."""
+        """Keep the first hello: a log holds one set of signals of a stream."""
         try:
-            self._hello = wire.read_hello(body)
+            hello = wire.read_hello(body)
         except DataError as error:
             self.hello_error = str(error).replace("\n", "; ")
             return "malformed"
-        self._hello_frame = stuffed + wire.DELIMITER
+        if self._hello is not None and hello.text != self._hello.text:
+            return "other_hello"
+        self._hello, self._hello_frame = hello, stuffed + wire.DELIMITER
         return "other", self._hello_frame
 
 
@@ -189,6 +194,8 @@ def findings(framer: Framer) -> tuple[str, ...]:
             lines.append(f"a hello is wrong, its data are left out: {framer.hello_error}")
         elif counts.get("before_hello") and counts["frames"] == 0:
             lines.append("data came without their hello: send it at the start and once a second")
+        if counts.get("other_hello"):
+            lines.append("the board changed its hello: what came since is left out; record again")
         if counts.get("malformed", 0) and not framer.hello_error:
             lines.append("data frames are not as long as their hello says; they are left out")
     return tuple(lines) or no_frame_finding(framer, "another baud rate, another device, or no zero byte ends a frame")
