@@ -123,12 +123,9 @@ class LearnedWorld:
             steps = integrate(made.poses(step), forecast.increments[:, :, :execute])
             for k in range(execute):
                 chance = None if forecast.contact is None else forecast.contact[:, k]
-                made.write_step(
-                    step + k + 1, mean_pose(steps[:, :, k]), None if chance is None else chance >= CONTACT_THRESHOLD
-                )
+                made.write_step(step + k + 1, mean_pose(steps[:, :, k]), chance)
                 first = (step + k) * made.stride + 1
-                if chance is not None:
-                    contact[:, first : first + made.stride] = chance[:, None]
+                contact[:, first : first + made.stride] = np.nan if chance is None else chance[:, None]
                 spread += np.linalg.norm(steps[:, :, k, :3] - steps[:, :, k, :3].mean(0), axis=-1).mean(0)
                 count += 1
             if loop is not None:

@@ -45,8 +45,8 @@ def mean_rank_violation(predicted: Array, seen: Array) -> float:
     """Return the mean maximum rank violation (MMRV) of predicted success `(P,)`; 0 is best.
 
     For each policy, the largest difference in seen success to a policy that the prediction puts on the wrong side of
-    it; then the mean. Source: X. Li et al., "Evaluating Real-World Robot Manipulation Policies in Simulation" (SIMPLER),
-    CoRL 2024, equation 1.
+    it; then the mean. Source: X. Li et al., "Evaluating Real-World Robot Manipulation Policies in Simulation"
+    (SIMPLER), CoRL 2024, equation 1.
     """
     is_wrong = (predicted[:, None] < predicted) != (seen[:, None] < seen)
     return float((np.abs(seen[:, None] - seen) * is_wrong).max(1).mean())

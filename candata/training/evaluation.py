@@ -130,7 +130,7 @@ def evaluate(
         evaluated_runs.refuse_seen(each, seen[each.name] or (), settings.group)
     evaluated_runs.check_scaled(evaluated, dataset, ids)
     stage("reading the dataset")
-    held_out = evaluation_windows(dataset, split, evaluated, settings)
+    held_out = held_out_windows(dataset, split, evaluated, settings)
     entrants = {each.name: model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
     own_execute = settings.execute or min(evaluated_runs.EXECUTE, held_out.horizon)
@@ -204,7 +204,7 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     jobs.check_device(settings.device)
 
 
-def evaluation_windows(
+def held_out_windows(
     dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], settings: EvaluationSettings
 ) -> Windows:
     """Return a window at every step of the models, with all that they and the scores read."""
