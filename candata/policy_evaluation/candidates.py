@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from candata.errors import UsageError
 from candata.policies import Motion, StepPolicy, command_limits
-from candata.policy_evaluation.commands import CommandBounds, candidate_motions
 from candata.policy_evaluation.chunk_starts import ChunkStarts
+from candata.policy_evaluation.commands import CommandBounds, candidate_motions
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.simulate import rollout

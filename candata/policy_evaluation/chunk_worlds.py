@@ -13,8 +13,8 @@ from candata.loaders import Normaliser
 from candata.loaders.increments import integrate
 from candata.loaders.normaliser import TAIL_STD
 from candata.policies import Goal
-from candata.policy_evaluation.cost import ChunkCost, chunk_cost
 from candata.policy_evaluation.chunk_starts import ChunkStarts
+from candata.policy_evaluation.cost import ChunkCost, chunk_cost
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.outcome import object_motion, outcome

@@ -81,22 +81,25 @@ def filter_text(result: FilterResult) -> str:
 
 def _withheld_lines(withheld: Withheld) -> list[str]:
     """Return the table of the withheld world, one row a chooser."""
-    width = max(len("random choice"), *(len(name) for name in withheld.choosers))
-    heads = f"{'in the withheld world':{width + 8}}  {'before':>17}  {'after':>17}  {'gain':>20}  abstained"
-    lines = [heads, f"{'random choice':{width + 8}}  {_interval(withheld.random)}"]
+    width = max(len("in the withheld world, by"), *(len(name) for name in withheld.choosers))
+    heads = f"{'in the withheld world, by':{width}}  {'before':>18}  {'after':>18}  {'gain':>24}  abstained"
+    lines = [heads, f"{'random choice':{width}}  {interval_text(withheld.random)}"]
     for name, each in withheld.choosers.items():
-        gain = "-"
-        if each.lift is not None and each.lift_low is not None and each.lift_high is not None:
-            points = [f"{100 * value:+.0f}" for value in (each.lift, each.lift_low, each.lift_high)]
-            gain = f"{points[0]} ({points[1]} to {points[2]}) points"
         lines.append(
-            f"{name:{width + 8}}  {_interval(each.before)}  {_interval(each.after)}  {gain:>20}  "
-            f"{each.abstained.share:.0%}"
+            f"{name:{width}}  {interval_text(each.before)}  {interval_text(each.after)}  "
+            f"{lift_text(each.lift, each.lift_low, each.lift_high)}  {each.abstained.share:.0%}"
         )
     return lines
 
 
-def _interval(share: Success | None) -> str:
-    """Return `40 % (27 to 55 %)`, 17 characters wide."""
+def interval_text(share: Success | None) -> str:
+    """Return `40 % (27 to 55 %)`, at least 18 characters wide; a dash for None."""
     text = "-" if share is None else f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
-    return f"{text:>17}"
+    return f"{text:>18}"
+
+
+def lift_text(lift: float | None, low: float | None, high: float | None) -> str:
+    """Return `+20 (+5 to +34) points`, at least 24 characters wide; a dash for None."""
+    if lift is None or low is None or high is None:
+        return f"{'-':>24}"
+    return f"{f'{100 * lift:+.0f} ({100 * low:+.0f} to {100 * high:+.0f}) points':>24}"

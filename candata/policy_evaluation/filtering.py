@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from candata.policies import Goal
+from candata.policies import Goal, Motion
 from candata.policy_evaluation.choice import Choice, choose
+from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
-from candata.policy_evaluation.filter_results import ChooserResult, StartResult, Withheld
+from candata.policy_evaluation.filter_results import ChooserResult, FilterResult, StartResult, Withheld
 from candata.scenes import Scene
 from candata.statistics import resamples
 from candata.training.results import Success
@@ -96,7 +97,7 @@ def withheld_result(
         for k, each in enumerate(choosers)
     }
     return Withheld(
-        random=_share(by_chance.sum(), starts),
+        random=success_share(by_chance.sum(), starts),
         choosers=results,
         success={
             each.world.name: _flags(success[:, drawn.shape[1] + k], chosen[:, k]) for k, each in enumerate(choosers)
@@ -111,23 +112,29 @@ def _flags(success: Array, chosen: NDArray[np.int64]) -> tuple[bool | None, ...]
 
 def _chooser_result(success: Array, has_chosen: Flags, by_chance: Array, rng: np.random.Generator) -> ChooserResult:
     """Return what one chooser came to where it chose, beside random choice at the same starts."""
-    abstained = _share(float((~has_chosen).sum()), len(has_chosen))
+    abstained = success_share(float((~has_chosen).sum()), len(has_chosen))
     if not has_chosen.any():
         return ChooserResult(abstained=abstained)
     gains = (success - by_chance)[has_chosen]
-    means = gains[resamples(rng, len(gains), DRAWS)].mean(1)
-    low, high = np.quantile(means, [0.025, 0.975]).tolist()
+    lift, low, high = paired_lift(gains, rng)
     return ChooserResult(
         abstained=abstained,
-        after=_share(success[has_chosen].sum(), int(has_chosen.sum())),
-        before=_share(by_chance[has_chosen].sum(), int(has_chosen.sum())),
-        lift=float(gains.mean()),
+        after=success_share(success[has_chosen].sum(), int(has_chosen.sum())),
+        before=success_share(by_chance[has_chosen].sum(), int(has_chosen.sum())),
+        lift=lift,
         lift_low=low,
         lift_high=high,
     )
 
 
-def _share(count: float, total: int) -> Success:
+def paired_lift(gains: Array, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Return the mean of gains `(n,)` by start and the ends of its 95 % interval by bootstrap over the starts."""
+    means = gains[resamples(rng, len(gains), DRAWS)].mean(1)
+    low, high = np.quantile(means, [0.025, 0.975]).tolist()
+    return float(gains.mean()), low, high
+
+
+def success_share(count: float, total: int) -> Success:
     """Return a share with its 95 % Wilson interval; the mean of several draws a start counts as so many successes."""
     low, high = map(float, binomtest(round(count), total).proportion_ci(0.95, "wilson"))
     return Success(count=round(count), total=total, share=float(count / total), low=low, high=high)
@@ -149,23 +156,64 @@ def start_results(judge: ChunkChoices, names: Sequence[str]) -> tuple[StartResul
     )
 
 
-def filter_chunks(
-    worlds: Sequence[ChunkWorld],
-    commands: Array,
-    playable: Flags,
-    goal: Goal,
-    seed: int,
+def run_filter(
+    bench: ChunkBench,
+    goal_name: str,
+    count: int,
+    noise: float,
     stage: Callable[[str], None] = lambda _name: None,
-) -> tuple[ChunkChoices, ...]:
-    """Return what each world chooses of the same chunks `(S, N, R, A)`; the first one is the judge.
+) -> tuple[FilterResult, tuple[Motion, ...]]:
+    """Return what the bench's model chooses, beside the simulators where there is a withheld world, and the chunks.
+
+    Parameters
+    ----------
+    bench : ChunkBench
+        Starts, worlds and what may be commanded.
+    goal_name : str
+        What the goal is called.
+    count : int
+        Candidates at each start, unless they are the motions of a file.
+    noise : float
+        Their noise, as a share of the recorded commands' standard deviation.
+    stage : callable
+        Called with what is being done.
 
     Raises
     ------
-    UsageError
-        As `choose_chunks`.
+    CandataError
+        As `ChunkBench.candidates` and `choose_chunks`.
     """
-    choices = []
-    for world in worlds:
-        stage(f"forecasting by {world.name}")
-        choices.append(choose_chunks(world, commands, playable, goal, seed))
-    return tuple(choices)
+    request, seed = bench.request, bench.request.seed
+    stage("planning the candidates")
+    candidates = bench.candidates(count, noise)
+    stage(f"forecasting by {bench.model.name}")
+    judge = choose_chunks(bench.model, candidates.commands, candidates.playable, request.goal, seed)
+    withheld = None
+    if bench.withheld is not None:
+        choosers = [judge]
+        for world in bench.simulators:
+            stage(f"forecasting by the {world.name}")
+            choosers.append(choose_chunks(world, candidates.commands, candidates.playable, request.goal, seed))
+        stage("playing in the withheld world")
+        withheld = withheld_result(choosers, candidates.commands, request.goal, bench.scene, bench.withheld, seed)
+    dataset = bench.starts.windows.dataset
+    result = FilterResult(
+        dataset=f"{dataset.name}@{dataset.digest[:12]}",
+        judge=bench.model.name,
+        goal=goal_name,
+        candidates=len(candidates.names),
+        chunk_s=bench.chunk_s,
+        seed=seed,
+        starts=start_results(judge, candidates.names),
+        withheld=withheld,
+    )
+    return result, chosen_motions(judge, candidates.commands)
+
+
+def chosen_motions(judge: ChunkChoices, commands: Array) -> tuple[Motion, ...]:
+    """Return the chosen chunks as motions, named by their episodes; the object stands where the scene has it."""
+    return tuple(
+        Motion(episode, commands[start, choice.candidate], np.zeros(3))
+        for start, (episode, choice) in enumerate(zip(judge.world.starts.ids, judge.choices, strict=True))
+        if choice.candidate is not None
+    )

@@ -15,9 +15,9 @@ from candata.loaders import Normaliser, Windows
 from candata.loaders.splits import group_ids
 from candata.policies import Goal, read_motions, read_step_policy
 from candata.policy_evaluation.candidates import Candidates, motion_candidates, noisy_candidates, policy_chunks
+from candata.policy_evaluation.chunk_starts import ChunkStarts, chunk_starts
 from candata.policy_evaluation.chunk_worlds import ChunkWorld, simulated_world
 from candata.policy_evaluation.commands import CommandBounds, command_bounds
-from candata.policy_evaluation.chunk_starts import ChunkStarts, chunk_starts
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.training import evaluated_runs
