@@ -6,7 +6,8 @@ from candata.errors import UnknownNameError
 from candata.policies import Goal
 
 #: What each name asks of the object from a start on. Chosen: `lift` is half of the lowest lift of `grasp_lift_shake`,
-#: held as long as fingers need to settle; `turn` is a sixth of a turn; `place` brings the object 0.1 m along x.
+#: held as long as fingers need to settle;
+#: `turn` is a twelfth of a turn.
 GOALS = {
     "lift": Goal(lift_m=0.02, held_s=0.3),
     "turn": Goal(turn_rad=0.5),

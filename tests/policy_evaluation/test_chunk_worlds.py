@@ -230,7 +230,8 @@ def test_refine_writes_a_policy_that_generate_sim_plays(trained, data, tmp_path)
     out, played = tmp_path / "refined.safetensors", tmp_path / "played"
     words = ("--candidates", 3, "--rounds", 1, "--samples", 1, "--chunk", 0.5, "--threads", 1, "--out", out)
     made = run("policy", "refine", trained, data, *words)
-    assert made.code == 0 and "refined the chunk of 0.5 s" in made.out, made.err
+    assert made.code == 0, made.err
+    assert "refined the chunk of 0.5 s" in made.out
     sim = ("--scene", "gripper_tabletop", "--episodes", 1, "--duration-s", 0.4, "--jobs", 1, "--out", played)
     assert run("generate-sim", "--policy-module", out, *sim).code == 0
 
