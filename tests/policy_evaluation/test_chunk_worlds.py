@@ -195,6 +195,12 @@ def test_a_closed_loop_plans_what_it_commands_from_the_start_on(starts, scene):
     assert np.allclose(chunks, starts.previous[:, None] + 0.001 * np.arange(1, 6)[:, None], atol=1e-9)
 
 
+def test_a_closed_loop_that_commands_no_number_is_refused(starts, scene):
+    policy = SimpleNamespace(begin=lambda _scene, _rng: lambda seen: np.nan * seen.action)
+    with pytest.raises(DataError, match="gave no commands"):
+        policy_chunks(policy, scene, starts, 5, 0)
+
+
 @pytest.fixture(scope="module")
 def trained(data, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "run"
