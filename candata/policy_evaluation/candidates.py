@@ -12,6 +12,7 @@ from candata.errors import UsageError
 from candata.policies import Motion, StepPolicy, command_limits
 from candata.policy_evaluation.chunk_starts import ChunkStarts
 from candata.policy_evaluation.commands import CommandBounds, candidate_motions
+from candata.policy_evaluation.pilots import STEP_LIMIT_S
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.simulate import rollout
@@ -133,7 +134,7 @@ def policy_chunks(policy: StepPolicy, scene: Scene, starts: ChunkStarts, rows: i
         )
         for number, episode in enumerate(starts.ids)
     ]
-    closed_loop = ClosedLoop(pilots, lead, scene.file.rate_hz, command_limits(scene))
+    closed_loop = ClosedLoop(pilots, lead, scene.file.rate_hz, command_limits(scene), STEP_LIMIT_S)
     rollout(
         scene,
         commands,

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +30,6 @@ class LiftingWorld:
     familiar_up_to: float = np.inf
     works: bool = True
     name: str = "a lift by hand"
-    starts: Any = None
 
     def forecast(self, commands: np.ndarray, seed: tuple[int, ...]) -> ChunkForecast:
         height = 0.1 * commands[..., 0] * self.works
@@ -43,9 +40,3 @@ class LiftingWorld:
 
     def is_familiar(self, commands: np.ndarray) -> np.ndarray:
         return (np.abs(commands) <= self.familiar_up_to).all((-1, -2))
-
-
-def with_ids(world: LiftingWorld, *ids: str) -> LiftingWorld:
-    """The world with starts of these episodes."""
-    world.starts = SimpleNamespace(ids=ids)
-    return world

@@ -26,14 +26,16 @@ def lifted(*heights: float) -> np.ndarray:
 def test_a_lift_is_reached_when_it_is_held_for_its_time():
     held = chunk_cost(LIFT, lifted(0, 0.03, 0.03, 0.03), None, RATE_HZ)
     short = chunk_cost(LIFT, lifted(0, 0.03, 0.03, 0.0), None, RATE_HZ)
-    assert held.reached and not short.reached
+    assert held.reached
+    assert not short.reached
     assert held.cost < 0 < short.cost == 1.0
 
 
 def test_beyond_the_goal_little_is_gained_and_below_it_much_is_lost():
     cost = [chunk_cost(LIFT, lifted(0, z, z, z), None, RATE_HZ).cost for z in (-1.0, 0.0, 0.01, 0.02, 0.04, 1.0)]
     assert cost == sorted(cost, reverse=True)
-    assert cost[0] == MOST_DEFICIT and cost[1:4] == pytest.approx([1.0, 0.5, 0.0])
+    assert cost[0] == MOST_DEFICIT
+    assert cost[1:4] == pytest.approx([1.0, 0.5, 0.0])
     assert cost[3] - cost[5] < 0.2 * (cost[1] - cost[3])
 
 
@@ -106,9 +108,11 @@ def test_kept_commands_keep_limits_and_rate_and_leave_what_does_already(rng):
     wild = rng.normal(0, 3, (4, 20, 2))
     kept = BOUNDS.kept(wild, np.zeros((4, 2)))
     steps = np.diff(np.concatenate([np.zeros((4, 1, 2)), kept], axis=1), axis=1)
-    assert np.abs(steps).max() <= 0.2 + 1e-12 and np.abs(kept).max() <= 1.0
+    assert np.abs(steps).max() <= 0.2 + 1e-12
+    assert np.abs(kept).max() <= 1.0
     assert np.array_equal(BOUNDS.kept(kept, np.zeros((4, 2))), kept)
-    assert BOUNDS.is_playable(kept, np.zeros((4, 2))).all() and not BOUNDS.is_playable(wild, np.zeros((4, 2))).any()
+    assert BOUNDS.is_playable(kept, np.zeros((4, 2))).all()
+    assert not BOUNDS.is_playable(wild, np.zeros((4, 2))).any()
 
 
 def test_noise_is_smooth_and_of_the_size_that_is_asked_for(rng):
@@ -144,5 +148,6 @@ def test_the_interval_of_a_gain_holds_no_gain_where_there_is_none(rng):
     gains = rng.choice([-1.0, 1.0], 60)
     gains -= gains.mean()
     mean, low, high = paired_lift(gains, rng)
-    assert low < mean < high and low < 0 < high
+    assert low < mean < high
+    assert low < 0 < high
     assert paired_lift(gains * 0.1 + 0.5, rng)[1] > 0.4

@@ -34,7 +34,8 @@ def test_weights_of_equal_costs_are_equal_and_without_a_cost_there_are_none():
 
 def test_a_chunk_that_does_not_lift_does_so_after():
     refined = refine(LiftingWorld(spread_m=0.001))
-    assert refined.changed.all() and not refined.reached_before.any()
+    assert refined.changed.all()
+    assert not refined.reached_before.any()
     assert (refined.cost_after < 0.5 * refined.cost_before).all()
     assert refined.commands[..., 0].max(1).min() > 0.3
     assert np.abs(refined.commands[..., 1]).mean() < 0.5 * np.abs(refined.commands[..., 0]).mean()  # of no use
@@ -42,13 +43,15 @@ def test_a_chunk_that_does_not_lift_does_so_after():
 
 def test_it_keeps_limits_and_rate():
     commands = refine(LiftingWorld()).commands
-    assert np.abs(np.diff(commands, axis=1)).max() <= 0.2 + 1e-12 and np.abs(commands).max() <= 1.0
+    assert np.abs(np.diff(commands, axis=1)).max() <= 0.2 + 1e-12
+    assert np.abs(commands).max() <= 1.0
 
 
 def test_nothing_changes_where_commands_do_nothing_or_forecasts_disagree():
     for world in (LiftingWorld(works=False), LiftingWorld(spread_m=0.2)):
         refined = refine(world)
-        assert not refined.changed.any() and np.array_equal(refined.commands, STILL)
+        assert not refined.changed.any()
+        assert np.array_equal(refined.commands, STILL)
 
 
 def test_it_does_not_leave_what_is_known():
