@@ -1,11 +1,11 @@
 """How well each world ranks policies: eight policies in three withheld worlds, and what an evaluation costs.
 
-    python benchmarks/policy_evaluation.py --out out/policies [--starts 50] [--worlds slippery,heavy,worn] [--minutes 10]
+    python benchmarks/policy_evaluation.py --out out/policies [--starts 50] [--worlds slippery,heavy] [--minutes 10]
 
-Each withheld world is `xhand_tabletop` with effects that are written below. It gives recordings, which train the learned
-worlds (first trained on nominal simulations) and are diagnosed for the repair, and other recordings whose first states
-are the starts. `--repair near` takes the true effects 15 % too weak instead of a diagnosis, and says so. The policies
-grasp, lift and shake, with noise of growing size on their commands.
+Each withheld world is `xhand_tabletop` with effects that are written below. It gives recordings, which train the
+learned worlds (first trained on nominal simulations) and are diagnosed for the repair (`--repair diagnose`), and other
+recordings whose first states are the starts. `--repair near`, the default, takes the true effects 15 % too weak instead
+of a diagnosis, and says so. The policies grasp, lift and shake, with noise of growing size on their commands.
 
 Everything is kept in `--out`: the same command goes on after a stop, and makes again only what is not there.
 """
@@ -71,7 +71,7 @@ def simulate(out: Path, episodes: int, seed: int, *more: object) -> Path:
 
 def trained(folder: Path, data: Path, model: str, minutes: float, initial: Path | None = None) -> Path:
     """Return a trained run; one that stands is finished or goes on."""
-    if (folder / "report.json").exists() or (folder.parent / f"{folder.name}.done").exists():
+    if (folder.parent / f"{folder.name}.done").exists():
         return folder
     start = ["--init", initial] if initial is not None else []
     candata("train", "--data", data, "--model", model, "--minutes", minutes, "--threads", 2, "--out", folder, *start)
