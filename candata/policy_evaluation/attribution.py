@@ -45,7 +45,7 @@ def effect_share(effect: str, seen: Array, nominal: Array, repaired: Array, with
 
 
 def disagreement(
-    played: Mapping[tuple[str, str], Played],
+    plays: Mapping[tuple[str, str], Played],
     policies: tuple[str, ...],
     worlds: tuple[str, ...],
     starts: RealStarts,
@@ -58,7 +58,7 @@ def disagreement(
 
     Parameters
     ----------
-    played : mapping of (policy, world) to Played
+    plays : mapping of (policy, world) to Played
         What came of each.
     policies, worlds : tuple of str
         Names; the worlds that predict.
@@ -70,25 +70,25 @@ def disagreement(
     pairs = list(combinations(worlds, 2))
     if not pairs or not len(starts):
         return None
-    best: tuple[tuple[float, float], str, int, tuple[str, str]] | None = None
+    widest_choice: tuple[tuple[float, float], str, int, tuple[str, str]] | None = None
     for policy in policies:
-        runs = {world: played[policy, world] for world in worlds}
+        runs = {world: plays[policy, world] for world in worlds}
         stable = ~np.any([run.failed for run in runs.values()], axis=0)
         success = {world: run.success for world, run in runs.items()}
         differing = np.mean([success[a] != success[b] for a, b in pairs], axis=0)
-        apart = np.stack([_distance(runs[a], runs[b]) for a, b in pairs])
+        distances_m = np.stack([_distance(runs[a], runs[b]) for a, b in pairs])
         for i in np.flatnonzero(stable).tolist():
-            widest = int(apart[:, i].argmax())
-            key = (float(differing[i]), float(apart[widest, i]))
-            if best is None or key > best[0]:
-                best = key, policy, i, pairs[widest]
-    if best is None:
+            widest = int(distances_m[:, i].argmax())
+            key = (float(differing[i]), float(distances_m[widest, i]))
+            if widest_choice is None or key > widest_choice[0]:
+                widest_choice = key, policy, i, pairs[widest]
+    if widest_choice is None:
         return None
-    (_, distance), policy, i, between = best
+    (_, distance), policy, i, between = widest_choice
     return Disagreement(
         policy=policy,
         start=starts.ids[i],
-        outcomes={world: str(played[policy, world].outcomes[i]) for world in worlds},
+        outcomes={world: str(plays[policy, world].outcomes[i]) for world in worlds},
         distance_m=distance,
         between=between,
         commands=commands_of,
@@ -97,12 +97,12 @@ def disagreement(
 
 def _distance(first: Played, second: Played) -> Array:
     """Return the mean distance `(n,)` of the object between two worlds [m]."""
-    apart = np.linalg.norm(first.object_pose[..., :3] - second.object_pose[..., :3], axis=-1)
-    return np.asarray(apart.mean(1))
+    distances_m = np.linalg.norm(first.object_pose[..., :3] - second.object_pose[..., :3], axis=-1)
+    return np.asarray(distances_m.mean(1))
 
 
-def next_motion(scene: Scene, choice: Disagreement, played: Played, starts: RealStarts) -> Motion:
+def next_motion(scene: Scene, choice: Disagreement, plays: Played, starts: RealStarts) -> Motion:
     """Return the motion to record: the commands as they were played, and where the object stands."""
     i, at = starts.ids.index(choice.start), scene.object_qpos
     shift = starts.qpos[i, at : at + 3] - np.asarray(scene.model.qpos0[at : at + 3], float)
-    return Motion(f"{choice.policy} from {choice.start}", played.commands[i], shift)
+    return Motion(f"{choice.policy} from {choice.start}", plays.commands[i], shift)

@@ -18,7 +18,7 @@ from candata.policy_evaluation.attribution import disagreement, effect_share, ne
 from candata.policy_evaluation.contract import Played, RealStarts, World
 from candata.policy_evaluation.goals import parsed_goal
 from candata.policy_evaluation.policies import EvaluatedPolicy, read_policies
-from candata.policy_evaluation.ranking import best_ranking, lead, wilson, world_ranking
+from candata.policy_evaluation.ranking import best_ranking, headline, lead, wilson, world_ranking
 from candata.policy_evaluation.results import (
     Disagreement,
     EffectShare,
@@ -144,23 +144,26 @@ def evaluate_policies(
         As `held_out_episodes`, `read_policies`, `real_starts` and `World.play`.
     """
     stage("reading the recordings")
-    held = held_out_episodes(runs, dataset, settings.group, settings.scene, settings.models, settings.threads)
+    held_out = held_out_episodes(runs, dataset, settings.group, settings.scene, settings.models, settings.threads)
     goal = None if settings.goal is None else parsed_goal(settings.goal)
-    policies = read_policies(policies_file, held.scene, goal)
-    starts, notes = real_starts(held.scene, dataset, held.ids, settings.starts, settings.threads)
-    worlds: tuple[World, ...] = (*simulated_worlds(held.scene, settings.effects, settings.threads), *held.learned)
-    played = play_all(policies, worlds, starts, settings, stage)
-    recorded = recorded_success(dataset, policies, starts)
+    policies = read_policies(policies_file, held_out.scene, goal)
+    starts, notes = real_starts(held_out.scene, dataset, held_out.ids, settings.starts, settings.threads)
+    worlds: tuple[World, ...] = (
+        *simulated_worlds(held_out.scene, settings.effects, settings.threads),
+        *held_out.learned_worlds,
+    )
+    plays = play_all(policies, worlds, starts, settings, stage)
+    recorded_flags = recorded_success(dataset, policies, starts)
     seen_world: tuple[World, ...] = ()
     if settings.withheld is not None:
-        settings.withheld.check(held.scene)
-        seen_world = (SimulatedWorld(WITHHELD, held.scene, settings.withheld.effects, settings.threads),)
-        played |= play_all(policies, seen_world, starts, settings, stage)
-    seen_name, seen = _seen(policies, played, recorded, settings.withheld is not None)
-    effects, compared_with = _effects(policies, worlds, starts, settings, played, seen, stage)
-    found = _Found(policies, worlds, seen_world, starts, played, seen_name, seen, recorded)
-    evaluation = _evaluation(found, held, dataset, settings, effects, compared_with, notes)
-    return evaluation, _exhibit(found, held.scene, evaluation.next_motion)
+        settings.withheld.check(held_out.scene)
+        seen_world = (SimulatedWorld(WITHHELD, held_out.scene, settings.withheld.effects, settings.threads),)
+        plays |= play_all(policies, seen_world, starts, settings, stage)
+    seen_name, seen_success = _seen(policies, plays, recorded_flags, settings.withheld is not None)
+    effects, compared_with = _effects(policies, worlds, starts, settings, plays, seen_success, stage)
+    findings = _Findings(policies, worlds, seen_world, starts, plays, seen_name, seen_success, recorded_flags)
+    evaluation = _evaluation(findings, held_out, dataset, settings, effects, compared_with, notes)
+    return evaluation, _exhibit(findings, held_out.scene, evaluation.next_motion)
 
 
 def play_all(
@@ -177,7 +180,7 @@ def play_all(
     UsageError
         When a policy means nothing with the object.
     """
-    played: dict[tuple[str, str], Played] = {}
+    plays: dict[tuple[str, str], Played] = {}
     for world in worlds:
         stage(f"{len(policies)} policies in {world.name}")
         for policy in policies:
@@ -189,43 +192,43 @@ def play_all(
                     where=Where(path=policy.source),
                     fix="give --goal lift, place, turn or topple",
                 )
-            played[policy.name, world.name] = result
-    return played
+            plays[policy.name, world.name] = result
+    return plays
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Findings:
     """What was played and seen: worlds that predict, the world that stands in for the real one, and recordings."""
 
     policies: tuple[EvaluatedPolicy, ...]
     worlds: tuple[World, ...]
     seen_world: tuple[World, ...]
     starts: RealStarts
-    played: Mapping[tuple[str, str], Played]
+    plays: Mapping[tuple[str, str], Played]
     seen_name: str | None
-    seen: Array
-    recorded: Array
+    seen_success: Array
+    recorded_flags: Array
 
     def success(self, world: str) -> Array:
         """Return the success `(P, n)` of all policies in a world."""
-        return _success(self.policies, self.played, world)
+        return _success(self.policies, self.plays, world)
 
 
-def _success(policies: Sequence[EvaluatedPolicy], played: Mapping[tuple[str, str], Played], world: str) -> Array:
+def _success(policies: Sequence[EvaluatedPolicy], plays: Mapping[tuple[str, str], Played], world: str) -> Array:
     """Return the success `(P, n)` of all policies in a world."""
-    return np.array([played[policy.name, world].success for policy in policies], float)
+    return np.array([plays[policy.name, world].success for policy in policies], float)
 
 
 def _seen(
     policies: Sequence[EvaluatedPolicy],
-    played: Mapping[tuple[str, str], Played],
-    recorded: Array,
+    plays: Mapping[tuple[str, str], Played],
+    recorded_flags: Array,
     has_withheld: bool,
 ) -> tuple[str | None, Array]:
     """Return what counts as seen and its name: the stand-in where there is one, else recordings, else nothing."""
     if has_withheld:
-        return WITHHELD, _success(policies, played, WITHHELD)
-    return (RECORDINGS if np.isfinite(recorded).any() else None), recorded
+        return WITHHELD, _success(policies, plays, WITHHELD)
+    return (RECORDINGS if np.isfinite(recorded_flags).any() else None), recorded_flags
 
 
 def _effects(
@@ -233,31 +236,31 @@ def _effects(
     worlds: Sequence[World],
     starts: RealStarts,
     settings: PolicyEvaluationSettings,
-    played: Mapping[tuple[str, str], Played],
-    seen: Array,
+    plays: Mapping[tuple[str, str], Played],
+    seen_success: Array,
     stage: Stage,
 ) -> tuple[tuple[EffectShare, ...], str | None]:
     """Return what each effect of the repair explains, and against what that was counted."""
-    repaired = next((world for world in worlds if world.name == REPAIRED), None)
-    if not isinstance(repaired, SimulatedWorld):
+    repaired_world = next((world for world in worlds if world.name == REPAIRED), None)
+    if not isinstance(repaired_world, SimulatedWorld):
         return (), None
-    nominal, mended = (_success(policies, played, name) for name in (NOMINAL, REPAIRED))
-    compared_with = "seen" if np.isfinite(seen).any() else REPAIRED
-    truth = seen if compared_with == "seen" else mended
+    nominal, repaired_success = (_success(policies, plays, name) for name in (NOMINAL, REPAIRED))
+    compared_with = "seen" if np.isfinite(seen_success).any() else REPAIRED
+    truth = seen_success if compared_with == "seen" else repaired_success
     shares = []
-    for number, effect in enumerate(repaired.effects):
-        if len(repaired.effects) == 1:
+    for number, effect in enumerate(repaired_world.effects):
+        if len(repaired_world.effects) == 1:
             success = nominal
         else:
-            world = without_effect(repaired, number)
+            world = without_effect(repaired_world, number)
             success = _success(policies, play_all(policies, (world,), starts, settings, stage), world.name)
-        shares.append(effect_share(effect_text(effect), truth, nominal, mended, success))
+        shares.append(effect_share(effect_text(effect), truth, nominal, repaired_success, success))
     return tuple(shares), compared_with
 
 
 def _evaluation(
-    found: _Found,
-    held: HeldOut,
+    findings: _Findings,
+    held_out: HeldOut,
     dataset: Dataset,
     settings: PolicyEvaluationSettings,
     effects: tuple[EffectShare, ...],
@@ -265,63 +268,68 @@ def _evaluation(
     notes: tuple[str, ...],
 ) -> PolicyEvaluation:
     """Return the record of an evaluation."""
-    rankings, ahead = _rankings(found, settings.seed)
-    best = best_ranking(rankings)
-    names = tuple(policy.name for policy in found.policies)
-    predicting = tuple(world.name for world in found.worlds)
+    rankings, margin = _rankings(findings, settings.seed)
+    top_ranking = best_ranking(rankings)
+    names = tuple(policy.name for policy in findings.policies)
+    world_names = tuple(world.name for world in findings.worlds)
     return PolicyEvaluation(
-        headline=headline(best, ahead, found.seen_name, predicting),
+        headline=headline(top_ranking, margin, findings.seen_name, world_names),
         dataset=f"{dataset.name}@{dataset.digest[:12]}",
-        split=held.split,
+        split=held_out.split,
         group=settings.group,
-        scene=held.scene.name,
-        starts=found.starts.ids,
+        scene=held_out.scene.name,
+        starts=findings.starts.ids,
         duration_s=settings.duration_s,
         seed=settings.seed,
         goal=settings.goal,
-        seen=found.seen_name,
-        policies={policy.name: PolicyFacts(source=policy.source, kind=policy.kind) for policy in found.policies},
-        worlds=summaries((*found.worlds, *found.seen_world)),
-        scores=_scores(found),
+        seen=findings.seen_name,
+        policies={policy.name: PolicyFacts(source=policy.source, kind=policy.kind) for policy in findings.policies},
+        worlds=summaries((*findings.worlds, *findings.seen_world)),
+        scores=_scores(findings),
         rankings=rankings,
-        best=None if best is None else best.world,
-        ahead_of_nominal=ahead,
+        best=None if top_ranking is None else top_ranking.world,
+        ahead_of_nominal=margin,
         effects=effects,
         compared_with=compared_with,
         next_motion=disagreement(
-            found.played, names, predicting, found.starts, best.world if best is not None else predicting[-1]
+            findings.plays,
+            names,
+            world_names,
+            findings.starts,
+            top_ranking.world if top_ranking is not None else world_names[-1],
         ),
-        notes=(*notes, *_notes(found)),
+        notes=(*notes, *_notes(findings)),
         revision=__version__,
     )
 
 
-def _rankings(found: _Found, seed: int) -> tuple[tuple[WorldRanking, ...], Interval | None]:
+def _rankings(findings: _Findings, seed: int) -> tuple[tuple[WorldRanking, ...], Interval | None]:
     """Return how well each world predicts, and by how much the best is ahead of the nominal simulator."""
-    if found.seen_name is None:
+    if findings.seen_name is None:
         return (), None
-    judged = {
-        world.name: world_ranking(world.name, found.success(world.name), found.seen, seed) for world in found.worlds
+    rankings_drawn = {
+        world.name: world_ranking(world.name, findings.success(world.name), findings.seen_success, seed)
+        for world in findings.worlds
     }
-    rankings = tuple(ranking for ranking, _ in judged.values())
-    best = best_ranking(rankings)
-    if best is None or best.world == NOMINAL:
+    rankings = tuple(entry for entry, _ in rankings_drawn.values())
+    top_ranking = best_ranking(rankings)
+    if top_ranking is None or top_ranking.world == NOMINAL:
         return rankings, None
-    nominal = judged[NOMINAL]
-    value = best.spearman.value - nominal[0].spearman.value
-    return rankings, lead(judged[best.world][1], nominal[1], value)
+    nominal = rankings_drawn[NOMINAL]
+    value = top_ranking.spearman.value - nominal[0].spearman.value
+    return rankings, lead(rankings_drawn[top_ranking.world][1], nominal[1], value)
 
 
-def _scores(found: _Found) -> tuple[PolicyScore, ...]:
+def _scores(findings: _Findings) -> tuple[PolicyScore, ...]:
     """Return the success of each policy in each world, seen ones last."""
     scores = []
-    for policy in found.policies:
-        for world in (*found.worlds, *found.seen_world):
-            scores.append(_score(policy.name, world.name, found.played[policy.name, world.name]))
-    if found.seen_name == RECORDINGS:
-        for policy, row in zip(found.policies, found.recorded, strict=True):
-            known = row[np.isfinite(row)]
-            count, total = round(float(known.sum())), len(known)
+    for policy in findings.policies:
+        for world in (*findings.worlds, *findings.seen_world):
+            scores.append(_score(policy.name, world.name, findings.plays[policy.name, world.name]))
+    if findings.seen_name == RECORDINGS:
+        for policy, row in zip(findings.policies, findings.recorded_flags, strict=True):
+            seen_flags = row[np.isfinite(row)]
+            count, total = round(float(seen_flags.sum())), len(seen_flags)
             scores.append(
                 PolicyScore(
                     policy=policy.name,
@@ -335,64 +343,48 @@ def _scores(found: _Found) -> tuple[PolicyScore, ...]:
     return tuple(scores)
 
 
-def _score(policy: str, world: str, played: Played) -> PolicyScore:
+def _score(policy: str, world: str, plays: Played) -> PolicyScore:
     """Return the success of one policy in one world."""
-    count, total = int(played.success.sum()), len(played.outcomes)
+    count, total = int(plays.success.sum()), len(plays.outcomes)
     return PolicyScore(
         policy=policy,
         world=world,
         success=wilson(count, total),
         count=count,
         total=total,
-        outcomes=dict(sorted(Counter(map(str, played.outcomes)).items())),
-        unstable=int(played.failed.sum()),
-        spread_m=None if played.spread_m is None else float(played.spread_m.mean()),
+        outcomes=dict(sorted(Counter(map(str, plays.outcomes)).items())),
+        unstable=int(plays.failed.sum()),
+        spread_m=None if plays.spread_m is None else float(plays.spread_m.mean()),
     )
 
 
-def _notes(found: _Found) -> tuple[str, ...]:
+def _notes(findings: _Findings) -> tuple[str, ...]:
     """Return what a reader must know."""
     notes = []
-    for world in found.worlds:
-        results = [found.played[policy.name, world.name] for policy in found.policies]
+    for world in findings.worlds:
+        results = [findings.plays[policy.name, world.name] for policy in findings.policies]
         if any(np.isnan(result.contact).any() for result in results):
             notes.append(f"{world.name} forecasts no contact: slips and drops are not told there")
         unstable = sum(int(result.failed.sum()) for result in results)
         if unstable:
             notes.append(f"{unstable} simulations of {world.name} became unstable")
-    if found.seen_name is None:
+    if findings.seen_name is None:
         notes.append("the data set holds no recording of these policies from these starts: no world can be judged")
     return tuple(notes)
 
 
-def headline(best: WorldRanking | None, ahead: Interval | None, seen: str | None, worlds: Sequence[str]) -> str:
-    """Return the first line: which world predicts policies best, and by how much."""
-    if seen is None:
-        return f"No world can be judged: nothing was seen of these policies. Predicted in {', '.join(worlds)}"
-    if best is None:
-        return "No world can be ranked: all policies succeed alike"
-    words = f"{best.world} predicts policies best: rank correlation {best.spearman.value:.2f}"
-    if len(worlds) == 1:
-        return f"{words}; no other world was compared"
-    if ahead is None:
-        return f"{words}; no world is ahead of the nominal simulator"
-    if not np.isfinite(ahead.value):
-        return f"{words}; the nominal simulator ranks none, as all its policies succeed alike"
-    return f"{words}, {ahead.value:.2f} above the nominal simulator (95 %: {ahead.low:.2f} to {ahead.high:.2f})"
-
-
-def _exhibit(found: _Found, scene: Scene, choice: Disagreement | None) -> Exhibit | None:
+def _exhibit(findings: _Findings, scene: Scene, choice: Disagreement | None) -> Exhibit | None:
     """Return the worst disagreement as states of every world."""
     if choice is None:
         return None
-    i = found.starts.ids.index(choice.start)
+    i = findings.starts.ids.index(choice.start)
     qpos = {}
-    for world in (*found.seen_world, *found.worlds):
-        run = found.played[choice.policy, world.name]
-        states = np.repeat(found.starts.qpos[i][None], run.object_pose.shape[1], axis=0)
+    for world in (*findings.seen_world, *findings.worlds):
+        run = findings.plays[choice.policy, world.name]
+        states = np.repeat(findings.starts.qpos[i][None], run.object_pose.shape[1], axis=0)
         states[:, scene.joint_qpos] = run.joint_position[i]
         states[:, scene.object_qpos : scene.object_qpos + 7] = run.object_pose[i]
         qpos[world.name] = states
-    commands = found.played[choice.policy, choice.commands]
-    motion = next_motion(scene, choice, commands, found.starts)
+    commands = findings.plays[choice.policy, choice.commands]
+    motion = next_motion(scene, choice, commands, findings.starts)
     return Exhibit(scene, f"{choice.policy} from {choice.start}", scene.file.rate_hz, qpos, motion)

@@ -16,7 +16,7 @@ from candata.training.rollout import CONTACT_THRESHOLD
 
 
 @dataclass(frozen=True, eq=False)
-class Imagined:
+class ImaginedEpisodes:
     """n episodes of equal length that begin at rest and are written as they are made.
 
     Attributes
@@ -41,9 +41,9 @@ class Imagined:
 
     def batch(self, step: int) -> Batch:
         """Return the windows whose present is `step` model steps after row 0, one of each episode."""
-        present = self.windows.cache.begin + self.first_row + step * self.stride
-        owner = np.arange(len(present))
-        batch = replace(self.windows, present_row=present, owner=owner).batch(owner)
+        present_rows = self.windows.cache.begin + self.first_row + step * self.stride
+        owner = np.arange(len(present_rows))
+        batch = replace(self.windows, present_row=present_rows, owner=owner).batch(owner)
         batch["cloud"] = self.cloud
         return batch
 
@@ -57,17 +57,21 @@ class Imagined:
         A probability of contact `(n,)` holds for the same rows.
         """
         stop = self.first_row + step * self.stride + 1
-        before = self.rows["object_pose"][:, stop - 1 - self.stride].astype(np.float64)[:, None]
+        pose_before = self.rows["object_pose"][:, stop - 1 - self.stride].astype(np.float64)[:, None]
         share = (np.arange(1, self.stride + 1) / self.stride)[:, None]
-        turn = exp(share * difference(pose[:, None, 3:], before[..., 3:]))
-        position = (1 - share) * before[..., :3] + share * pose[:, None, :3]
+        turn = exp(share * difference(pose[:, None, 3:], pose_before[..., 3:]))
+        position = (1 - share) * pose_before[..., :3] + share * pose[:, None, :3]
         part = slice(stop - self.stride, stop)
-        self.rows["object_pose"][:, part] = np.concatenate([position, normalise(multiply(turn, before[..., 3:]))], -1)
+        self.rows["object_pose"][:, part] = np.concatenate(
+            [position, normalise(multiply(turn, pose_before[..., 3:]))], -1
+        )
         if contact is not None and "contact" in (self.rows.dtype.names or ()):
             self.rows["contact"][:, part] = contact[:, None] >= CONTACT_THRESHOLD
 
 
-def imagined(source: Windows, episodes: NDArray[np.int64], past: dict[str, Array], rows: int) -> Imagined:
+def imagined_episodes(
+    source: Windows, episodes: NDArray[np.int64], past_rows: dict[str, Array], rows: int
+) -> ImaginedEpisodes:
     """Return episodes that have a past and room for what comes.
 
     Parameters
@@ -76,20 +80,20 @@ def imagined(source: Windows, episodes: NDArray[np.int64], past: dict[str, Array
         As a model reads recordings: names, channels, history, horizon, rate and clouds.
     episodes : (n,) int64
         Number in `source` of the recording that each begins from: its rate and point cloud.
-    past : dict of str to (n, L, ...) ndarray
+    past_rows : dict of str to (n, L, ...) ndarray
         Channels of the rows up to row 0, itself included.
     rows : int
         Rows of the policy, which model steps and the horizon behind them cover.
     """
-    count, lead = len(episodes), next(iter(past.values())).shape[1] - 1
+    count, lead = len(episodes), next(iter(past_rows.values())).shape[1] - 1
     stride = int(source.stride[episodes[0]])
     length = lead + (-(-rows // stride) + source.horizon) * stride + 1
     store = np.zeros(count * length, source.cache.rows.dtype)
     view = store.reshape(count, length)
     for name in view.dtype.names or ():
-        if name in past:
-            view[name][:, : lead + 1] = past[name]
-            view[name][:, lead + 1 :] = past[name][:, -1:]
+        if name in past_rows:
+            view[name][:, : lead + 1] = past_rows[name]
+            view[name][:, lead + 1 :] = past_rows[name][:, -1:]
     file = source.cache.file.model_copy(
         update={
             "ids": tuple(str(k) for k in range(count)),
@@ -99,7 +103,7 @@ def imagined(source: Windows, episodes: NDArray[np.int64], past: dict[str, Array
         }
     )
     memory = Cache(source.cache.folder, file, store, np.ones(len(store), bool), np.zeros(len(store), np.int32))
-    own = replace(
+    own_windows = replace(
         source,
         cache=memory,
         stride=np.full(count, stride, np.int64),
@@ -109,4 +113,4 @@ def imagined(source: Windows, episodes: NDArray[np.int64], past: dict[str, Array
     )
     names = {name: k for k, name in enumerate(source.cloud_names)}
     cloud = np.array([-1 if name is None else names[name] for name in file.clouds], np.int64)
-    return Imagined(own, view, lead, stride, cloud)
+    return ImaginedEpisodes(own_windows, view, lead, stride, cloud)

@@ -47,27 +47,27 @@ def closed_loop(
     if not any(orders.begins):
         return None
     rows = orders.commands.shape[1]
-    still = np.zeros((rows, len(scene.actuator_ids)))
+    no_noise = np.zeros((rows, len(scene.actuator_ids)))
     pilots = [
         None
         if begin is None
         else Pilot(
             f"{policy} from {start} in {world}",
-            partial(_begun, begin, scene, policy, world),
+            partial(_checked_begin, begin, scene, policy, world),
             partial(sense, i),
             rows,
-            still,
+            no_noise,
         )
         for i, (begin, start) in enumerate(zip(orders.begins, starts.ids, strict=True))
     ]
     return ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene), STEP_LIMIT_S)
 
 
-def _begun(begin: Callable[[], Step], scene: Scene, policy: str, world: str) -> Step:
+def _checked_begin(begin: Callable[[], Step], scene: Scene, policy: str, world: str) -> Step:
     """Return a step that sees contact in every world, and says what a world lacks."""
     step = begin()
 
-    def seeing(observation: Observation) -> Array:
+    def checked_step(observation: Observation) -> Array:
         readings = with_contact(observation.readings)
         try:
             return step(replace(observation, readings=readings))
@@ -83,7 +83,7 @@ def _begun(begin: Callable[[], Step], scene: Scene, policy: str, world: str) -> 
                 fix="leave this world or this policy out",
             ) from None
 
-    return seeing
+    return checked_step
 
 
 def with_contact(readings: Mapping[str, Array]) -> dict[str, Array]:
@@ -94,6 +94,6 @@ def with_contact(readings: Mapping[str, Array]) -> dict[str, Array]:
     return {**readings, CONTACT: np.asarray(float((sizes > ContactRule().threshold_n).any()))}
 
 
-def held(orders: Orders, settle: int) -> Array:
+def held_commands(orders: Orders, settle: int) -> Array:
     """Return the commands `(n, settle + T, A)` with the first held before row 0."""
     return np.concatenate([np.repeat(orders.commands[:, :1], settle, axis=1), orders.commands], axis=1)

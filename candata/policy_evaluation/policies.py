@@ -194,9 +194,11 @@ def read_policies(path: Path, scene: Scene, goal: Goal | None = None) -> tuple[E
     """
     file = PolicyFile.parse(_as_record(read_yaml(path, "the policies file")), path)
     names = [entry.name for entry in file.policies]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise UsageError(f"two policies are called {twice}", where=Where(path=str(path)), fix="name each of them once")
+    repeated_name = next((name for name in names if names.count(name) > 1), None)
+    if repeated_name is not None:
+        raise UsageError(
+            f"two policies are called {repeated_name}", where=Where(path=str(path)), fix="name each of them once"
+        )
     return tuple(_policy(entry, path.parent, scene, goal) for entry in file.policies)
 
 
@@ -207,12 +209,12 @@ def _as_record(value: object) -> object:
 
 def _policy(entry: PolicyEntry, folder: Path, scene: Scene, goal: Goal | None) -> EvaluatedPolicy:
     """Return the policy of one entry."""
-    common = {"goal": goal, "seed": entry.seed, "noise_share": entry.noise_share}
+    common_fields = {"goal": goal, "seed": entry.seed, "noise_share": entry.noise_share}
     source = entry.source
     if source in policy_names():
-        return EvaluatedPolicy(entry.name, source, _scripted(entry, scene), **common)  # type: ignore[arg-type]
+        return EvaluatedPolicy(entry.name, source, _script_planner(entry, scene), **common_fields)  # type: ignore[arg-type]
     if source.endswith(".parquet"):
-        return EvaluatedPolicy(entry.name, source, _motion(entry, folder, scene), **common)  # type: ignore[arg-type]
+        return EvaluatedPolicy(entry.name, source, _motion(entry, folder, scene), **common_fields)  # type: ignore[arg-type]
     if not (source.endswith(SUFFIX) or ":" in source):
         raise UsageError(
             f"{source!r} names no policy",
@@ -222,12 +224,12 @@ def _policy(entry: PolicyEntry, folder: Path, scene: Scene, goal: Goal | None) -
         )
     if entry.noise_share:
         raise UsageError(f"policy {entry.name} acts in a closed loop: it takes no noise_share", fix="leave it out")
-    step_policy = read_step_policy(_beside(source, folder))
+    step_policy = read_step_policy(_source_beside(source, folder))
     plan: Planner = opening_plan
-    return EvaluatedPolicy(entry.name, source, plan, step_policy, **common)  # type: ignore[arg-type]
+    return EvaluatedPolicy(entry.name, source, plan, step_policy, **common_fields)  # type: ignore[arg-type]
 
 
-def _scripted(entry: PolicyEntry, scene: Scene) -> Planner:
+def _script_planner(entry: PolicyEntry, scene: Scene) -> Planner:
     """Return the planner of a scripted policy, or of one of its variants."""
     script = policy(entry.source)
     if not script.possible(scene):
@@ -244,7 +246,7 @@ def _scripted(entry: PolicyEntry, scene: Scene) -> Planner:
 
 def _motion(entry: PolicyEntry, folder: Path, scene: Scene) -> Planner:
     """Return the planner that plays one motion of a command file."""
-    path = Path(_beside(entry.source, folder))
+    path = Path(_source_beside(entry.source, folder))
     motions = {motion.name: motion for motion in read_motions(path, scene).motions}
     name = entry.motion or (next(iter(motions)) if len(motions) == 1 else None)
     if name not in motions:
@@ -258,13 +260,15 @@ def _motion(entry: PolicyEntry, folder: Path, scene: Scene) -> Planner:
 
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         rows = round(duration_s * scene.file.rate_hz)
-        held = np.repeat(motion.commands[-1:], max(rows - len(motion.commands), 0), axis=0)
-        return motion_plan(scene, replace(motion, commands=np.concatenate([motion.commands, held])[:rows]), rng)
+        held_commands = np.repeat(motion.commands[-1:], max(rows - len(motion.commands), 0), axis=0)
+        return motion_plan(
+            scene, replace(motion, commands=np.concatenate([motion.commands, held_commands])[:rows]), rng
+        )
 
     return plan
 
 
-def _beside(source: str, folder: Path) -> str:
+def _source_beside(source: str, folder: Path) -> str:
     """Return a source whose file lies beside the policies file by its path; another one as it is."""
     file, colon, function = source.partition(":") if ".py:" in source else (source, "", "")
     neighbour = folder / file

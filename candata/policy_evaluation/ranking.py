@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,27 +30,27 @@ def wilson(count: int, total: int) -> Interval:
     return Interval(value=count / total, low=float(low), high=float(high))
 
 
-def spearman(predicted: Array, seen: Array) -> Array:
+def spearman(predicted: Array, seen_success: Array) -> Array:
     """Return Spearman's rank correlation over the last axis `(..., P)`; NaN where either is constant.
 
     Equal values share their mean rank. Source: C. Spearman, "The proof and measurement of association between two
     things", American Journal of Psychology 15 (1904).
     """
-    ranks = [rankdata(values, axis=-1) for values in (predicted, seen)]
+    ranks = [rankdata(values, axis=-1) for values in (predicted, seen_success)]
     a, b = (rank - rank.mean(-1, keepdims=True) for rank in ranks)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray((a * b).sum(-1) / np.sqrt((a**2).sum(-1) * (b**2).sum(-1)))
 
 
-def mean_rank_violation(predicted: Array, seen: Array) -> float:
+def mean_rank_violation(predicted: Array, seen_success: Array) -> float:
     """Return the mean maximum rank violation (MMRV) of predicted success `(P,)`; 0 is best.
 
     For each policy, the largest difference in seen success to a policy that the prediction puts on the wrong side of
     it; then the mean. Source: X. Li et al., "Evaluating Real-World Robot Manipulation Policies in Simulation"
     (SIMPLER), CoRL 2024, equation 1.
     """
-    is_wrong = (predicted[:, None] < predicted) != (seen[:, None] < seen)
-    return float((np.abs(seen[:, None] - seen) * is_wrong).max(1).mean())
+    is_wrong = (predicted[:, None] < predicted) != (seen_success[:, None] < seen_success)
+    return float((np.abs(seen_success[:, None] - seen_success) * is_wrong).max(1).mean())
 
 
 def rates(success: Array, index: NDArray[np.int64] | None = None) -> Array:
@@ -69,7 +70,7 @@ def rates(success: Array, index: NDArray[np.int64] | None = None) -> Array:
         return np.asarray(np.nanmean(success[:, index], axis=-1).T)
 
 
-def world_ranking(world: str, predicted: Array, seen: Array, seed: int) -> tuple[WorldRanking, Array]:
+def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) -> tuple[WorldRanking, Array]:
     """Return how well a world predicts policies, and its resampled rank correlations `(DRAWS,)`.
 
     Policies without a seen start are left out; a predicted rate is that over the starts which were seen.
@@ -83,31 +84,31 @@ def world_ranking(world: str, predicted: Array, seen: Array, seed: int) -> tuple
     seed : int
         Of the bootstrap: worlds of one evaluation share their draws.
     """
-    known = np.isfinite(seen).any(1)
-    paired = np.where(np.isfinite(seen), predicted, np.nan)[known]
-    real = seen[known]
-    rate, truth = rates(paired), rates(real)
-    index = resamples(np.random.default_rng(seed), seen.shape[1], DRAWS)
-    drawn = spearman(rates(paired, index), rates(real, index))
-    counts = [(int(np.nansum(row)), int(np.isfinite(row).sum())) for row in paired]
+    known_rows = np.isfinite(seen_success).any(1)
+    paired_success = np.where(np.isfinite(seen_success), predicted, np.nan)[known_rows]
+    real = seen_success[known_rows]
+    rate, truth = rates(paired_success), rates(real)
+    index = resamples(np.random.default_rng(seed), seen_success.shape[1], DRAWS)
+    drawn_values = spearman(rates(paired_success, index), rates(real, index))
+    counts = [(int(np.nansum(row)), int(np.isfinite(row).sum())) for row in paired_success]
     intervals = [wilson(*count) for count in counts]
-    covered = [entry.low <= value <= entry.high for entry, value in zip(intervals, truth, strict=True)]
+    covered_flags = [entry.low <= value <= entry.high for entry, value in zip(intervals, truth, strict=True)]
     return WorldRanking(
         world=world,
-        policies=int(known.sum()),
-        pairs=int(np.isfinite(paired).sum()),
-        spearman=_interval(float(spearman(rate, truth)), drawn),
+        policies=int(known_rows.sum()),
+        pairs=int(np.isfinite(paired_success).sum()),
+        spearman=_interval(float(spearman(rate, truth)), drawn_values),
         mmrv=mean_rank_violation(rate, truth),
         mean_error=float(np.abs(rate - truth).mean()),
         bias=float((rate - truth).mean()),
-        covered=float(np.mean(covered)),
-        agreement=float(np.nanmean(np.where(np.isfinite(paired), paired == real, np.nan))),
-    ), drawn
+        covered=float(np.mean(covered_flags)),
+        agreement=float(np.nanmean(np.where(np.isfinite(paired_success), paired_success == real, np.nan))),
+    ), drawn_values
 
 
-def _interval(value: float, drawn: Array) -> Interval:
+def _interval(value: float, drawn_values: Array) -> Interval:
     """Return a value with the central interval of its resamples; NaN ends where none has a value."""
-    finite = drawn[np.isfinite(drawn)]
+    finite = drawn_values[np.isfinite(drawn_values)]
     if not len(finite):
         return Interval(value=value, low=float("nan"), high=float("nan"))
     tail = 100 * (1 - CONFIDENCE) / 2
@@ -115,9 +116,9 @@ def _interval(value: float, drawn: Array) -> Interval:
     return Interval(value=value, low=float(low), high=float(high))
 
 
-def lead(first: Array, second: Array, value: float) -> Interval:
+def lead(best_draws: Array, other_draws: Array, value: float) -> Interval:
     """Return by how much a rank correlation is above another, with the interval of paired resamples."""
-    return _interval(value, first - second)
+    return _interval(value, best_draws - other_draws)
 
 
 def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
@@ -125,7 +126,25 @@ def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
 
     None where no world has a rank correlation.
     """
-    known = [entry for entry in rankings if np.isfinite(entry.spearman.value)]
-    if not known:
+    known_rows = [entry for entry in rankings if np.isfinite(entry.spearman.value)]
+    if not known_rows:
         return None
-    return max(known, key=lambda entry: (entry.spearman.value, -entry.mmrv, -entry.mean_error))
+    return max(known_rows, key=lambda entry: (entry.spearman.value, -entry.mmrv, -entry.mean_error))
+
+
+def headline(
+    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: str | None, worlds: Sequence[str]
+) -> str:
+    """Return the first line: which world predicts policies best, and by how much."""
+    if seen_success is None:
+        return f"No world can be judged: nothing was seen of these policies. Predicted in {', '.join(worlds)}"
+    if top_ranking is None:
+        return "No world can be ranked: all policies succeed alike"
+    words = f"{top_ranking.world} predicts policies best: rank correlation {top_ranking.spearman.value:.2f}"
+    if len(worlds) == 1:
+        return f"{words}; no other world was compared"
+    if margin is None:
+        return f"{words}; no world is ahead of the nominal simulator"
+    if not np.isfinite(margin.value):
+        return f"{words}; the nominal simulator ranks none, as all its policies succeed alike"
+    return f"{words}, {margin.value:.2f} above the nominal simulator (95 %: {margin.low:.2f} to {margin.high:.2f})"

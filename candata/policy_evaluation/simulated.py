@@ -8,7 +8,7 @@ import numpy as np
 
 from candata.policies import Goal
 from candata.policy_evaluation.contract import Array, Played, PlayedPolicy, RealStarts
-from candata.policy_evaluation.pilots import closed_loop, held
+from candata.policy_evaluation.pilots import closed_loop, held_commands
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import Trajectory, rollout
@@ -50,7 +50,7 @@ class SimulatedWorld:
         scene = self.scene
         orders = policy.orders(scene, starts, seed, duration_s)
         settle = round(orders.settle_s * scene.file.rate_hz)
-        commands = held(orders, settle)
+        commands = held_commands(orders, settle)
         loop = closed_loop(
             scene,
             self.name,
@@ -58,7 +58,7 @@ class SimulatedWorld:
             orders,
             starts,
             settle,
-            lambda place, readings: self._sensed(seed, int(starts.numbers[place]), readings),
+            lambda place, readings: self._sensor_readings(seed, int(starts.numbers[place]), readings),
         )
         trajectory = rollout(
             scene,
@@ -97,7 +97,7 @@ class SimulatedWorld:
         )
         return outcome(goal, motion)
 
-    def _sensed(self, seed: int, number: int, readings: dict[str, Array]) -> dict[str, Array]:
+    def _sensor_readings(self, seed: int, number: int, readings: dict[str, Array]) -> dict[str, Array]:
         """Return readings `(T, ...)` with the sensor noise of a start, the same in every simulated world."""
         noise = self.scene.file.noise
         rng = np.random.default_rng([seed, number, NOISE_STREAM])

@@ -16,7 +16,7 @@ from candata.scenes.traits import is_toss
 
 
 def real_starts(
-    scene: Scene, dataset: Dataset, ids: Sequence[str], most: int, threads: int = 1
+    scene: Scene, dataset: Dataset, ids: Sequence[str], most_starts: int, threads: int = 1
 ) -> tuple[RealStarts, tuple[str, ...]]:
     """Return the starts of recorded episodes, as a diagnosis estimates them, and notes on what was left out.
 
@@ -28,7 +28,7 @@ def real_starts(
         The recordings.
     ids : sequence of str
         Held-out episodes.
-    most : int
+    most_starts : int
         Starts that are wanted; evenly spread over the ids where there are more.
     threads : int
         Threads of the stepping loop.
@@ -48,8 +48,10 @@ def real_starts(
         )
     if not ids:
         raise DataError("no held-out episodes to start from", where=Where(path=str(dataset.path)))
-    chosen = [ids[k] for k in np.unique(np.linspace(0, len(ids) - 1, min(most, len(ids))).round().astype(int))]
-    recs = recordings(scene, dataset.episodes(chosen))
+    chosen_ids = [
+        ids[k] for k in np.unique(np.linspace(0, len(ids) - 1, min(most_starts, len(ids))).round().astype(int))
+    ]
+    recs = recordings(scene, dataset.episodes(chosen_ids))
     begin = estimated_starts(scene, recs, threads=threads)
     at_rest = np.flatnonzero(~begin.moving)
     if not len(at_rest):

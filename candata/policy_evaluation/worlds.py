@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
@@ -56,13 +57,13 @@ class HeldOut:
         Episodes.
     split : str
         Name of the split.
-    learned : tuple of LearnedWorld
+    learned_worlds : tuple of LearnedWorld
     """
 
     scene: Scene
     ids: tuple[str, ...]
     split: str
-    learned: tuple[LearnedWorld, ...]
+    learned_worlds: tuple[LearnedWorld, ...]
 
 
 def held_out_episodes(
@@ -97,31 +98,31 @@ def held_out_episodes(
         name = None
         split = find_split(dataset, name)
         ids = tuple(dataset.ids) if group == "all" else tuple(group_ids(dataset, split, group))
-        loaded, ids = _of_one_scene(dataset, ids, scene)
-        return HeldOut(loaded, ids, "default", ())
+        loaded_scene, ids = _of_one_scene(dataset, ids, scene)
+        return HeldOut(loaded_scene, ids, "default", ())
     from candata.training import evaluated_runs
     from candata.training.evaluation import EvaluationSettings, held_out_windows, model_entrant
     from candata.training.servo_lag import fit_servo_lags
 
-    evaluated = evaluated_runs.read_runs(runs, settings.execute, (NOMINAL, REPAIRED, WITHHELD, RECORDINGS))
-    split, split_name = evaluated_runs.split_of(evaluated, dataset)
+    run_entries = evaluated_runs.read_runs(runs, settings.execute, (NOMINAL, REPAIRED, WITHHELD, RECORDINGS))
+    split, split_name = evaluated_runs.split_of(run_entries, dataset)
     ids = tuple(dataset.ids) if group == "all" else tuple(group_ids(dataset, split, group))
-    for each in evaluated:
-        evaluated_runs.refuse_seen(each, evaluated_runs.seen_ids(each, dataset, split, ids) or (), group)
-    evaluated_runs.check_scaled(evaluated, dataset, ids)
-    loaded, ids = _of_one_scene(dataset, ids, scene)
-    how = EvaluationSettings(
+    for run_entry in run_entries:
+        evaluated_runs.refuse_seen(run_entry, evaluated_runs.seen_ids(run_entry, dataset, split, ids) or (), group)
+    evaluated_runs.check_scaled(run_entries, dataset, ids)
+    loaded_scene, ids = _of_one_scene(dataset, ids, scene)
+    evaluation_settings = EvaluationSettings(
         group, settings.samples, settings.steps, settings.execute, device=settings.device, scene=scene, threads=threads
     )
-    held = held_out_windows(dataset, split, evaluated, how)
-    lags = fit_servo_lags(held)
-    learned = []
-    for each in evaluated:
-        entrant = model_entrant(each, held, how)
-        learned.append(
-            LearnedWorld(each.name, loaded, entrant.forecaster, entrant.windows, lags, each.execute, settings.joints)  # type: ignore[arg-type]
-        )
-    return HeldOut(loaded, ids, split_name, tuple(learned))
+    held_windows = held_out_windows(dataset, split, run_entries, evaluation_settings)
+    lags = fit_servo_lags(held_windows)
+    learned_worlds = []
+    for run_entry in run_entries:
+        entrant = model_entrant(run_entry, held_windows, evaluation_settings)
+        forecaster: Any = entrant.forecaster  # a run's is a TrainedModel
+        common = (run_entry.name, loaded_scene, forecaster, entrant.windows, lags, run_entry.execute)
+        learned_worlds.append(LearnedWorld(*common, settings.joints))
+    return HeldOut(loaded_scene, ids, split_name, tuple(learned_worlds))
 
 
 def _of_one_scene(dataset: Dataset, ids: tuple[str, ...], scene: str | None) -> tuple[Scene, tuple[str, ...]]:
@@ -135,12 +136,12 @@ def _of_one_scene(dataset: Dataset, ids: tuple[str, ...], scene: str | None) -> 
     if scene is not None:
         return load_scene(scene), ids
     catalog = dataset.catalog(["id", "meta"])
-    named = {
+    scene_names = {
         name: parse_json(text).get("scene")
         for name, text in zip(catalog["id"].to_pylist(), catalog["meta"].to_pylist(), strict=True)
     }
-    first = builtin_scene(named[ids[0]], Where(path=str(dataset.path), episode=ids[0]))
-    return load_scene(first), tuple(name for name in ids if named[name] == named[ids[0]])
+    first_scene = builtin_scene(scene_names[ids[0]], Where(path=str(dataset.path), episode=ids[0]))
+    return load_scene(first_scene), tuple(name for name in ids if scene_names[name] == scene_names[ids[0]])
 
 
 def simulated_worlds(
@@ -163,9 +164,9 @@ def simulated_worlds(
 
 def without_effect(world: SimulatedWorld, number: int) -> SimulatedWorld:
     """Return a repaired simulator without one of its effects."""
-    kept = tuple(effect for k, effect in enumerate(world.effects) if k != number)
+    kept_effects = tuple(effect for k, effect in enumerate(world.effects) if k != number)
     return SimulatedWorld(
-        f"{world.name} without {effect_text(world.effects[number])}", world.scene, kept, world.threads
+        f"{world.name} without {effect_text(world.effects[number])}", world.scene, kept_effects, world.threads
     )
 
 
