@@ -69,12 +69,13 @@ def simulate(out: Path, episodes: int, seed: int, *more: object) -> Path:
     return out
 
 
-def trained(folder: Path, data: Path, model: str, minutes: float, initial: Path | None = None) -> Path:
+def trained(folder: Path, data: Path, model: str, asked: argparse.Namespace, initial: Path | None = None) -> Path:
     """Return a trained run; one that stands is finished or goes on."""
     if (folder.parent / f"{folder.name}.done").exists():
         return folder
     start = ["--init", initial] if initial is not None else []
-    candata("train", "--data", data, "--model", model, "--minutes", minutes, "--threads", 2, "--out", folder, *start)
+    length = ("--minutes", asked.minutes, "--threads", asked.threads)
+    candata("train", "--data", data, "--model", model, *length, "--out", folder, *start)
     (folder.parent / f"{folder.name}.done").touch()
     return folder
 
@@ -102,7 +103,7 @@ def evaluated(world: Path, runs: list[Path], repair: Path | None, starts: int, a
         candata(
             *("policy", "evaluate", *runs, SCENE, world / "starts", "--policies", asked.out / "policies.yaml"),
             *("--withheld", world / "hidden.yaml", "--split", "all", "--starts", starts, "--seed", asked.seed),
-            *("--duration-s", asked.duration_s, "--threads", 2, "--out", out, *options),
+            *("--duration-s", asked.duration_s, "--threads", asked.threads, "--out", out, *options),
         )
         memory_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
         cost.write_text(json.dumps({"seconds": time.time() - began, "memory_gb": memory_gb}), encoding="utf-8")
@@ -162,6 +163,9 @@ def main() -> None:
     parser.add_argument("--pretrain", type=int, default=100, help="nominal simulations to train on first")
     parser.add_argument("--repair", choices=("diagnose", "near"), default="near")
     parser.add_argument("--duration-s", type=float, default=5.0)
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of training and evaluation; more waits on a busy machine"
+    )
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -173,7 +177,7 @@ def main() -> None:
     models = [name for name in asked.models.split(",") if name]
     kind = ("--policies", "grasp_lift_shake", "--outcomes", "success:0.5,fail:0.5", "--duration-s", asked.duration_s)
     nominal = simulate(asked.out / "nominal", asked.pretrain, 1, *kind) if models else None
-    first = {name: trained(asked.out / f"first-{name}", nominal, name, asked.minutes) for name in models if nominal}
+    first = {name: trained(asked.out / f"first-{name}", nominal, name, asked) for name in models if nominal}
     results = {}
     for name in asked.worlds.split(","):
         seed, hidden = WORLDS[name]
@@ -188,7 +192,7 @@ def main() -> None:
             *("--policies", "grasp_lift_shake", "--duration-s", asked.duration_s, "--effects", effects),
         )
         repair = repaired(world, hidden, asked.repair)
-        runs = [trained(world / model, real, model, asked.minutes, first[model]) for model in models]
+        runs = [trained(world / model, real, model, asked, first[model]) for model in models]
         results[name] = evaluated(world, runs, repair, asked.starts, asked)
     if asked.repair == "near":
         print(f"repair: the true effects, {100 * NEAR:g} % too weak; --repair diagnose takes that of a diagnosis")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.effects_option import note_other_scene
 from candata_cli.outputs import check_output
 from candata_cli.torch_options import Device, Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
     from candata.policy_evaluation.seen import Withheld
-    from candata.schema.effect import EffectSetting
 
 Targets = Annotated[
     list[str],
@@ -80,6 +80,7 @@ def evaluate(
     """
     *names, data = targets
     check_output(out, "folder")
+    from candata.effects import read_effects
     from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evaluate_policies
     from candata.policy_evaluation.worlds import ModelSettings
     from candata.reports.policy_evaluation import summary, write_policy_evaluation
@@ -97,7 +98,7 @@ def evaluate(
             seed,
             goal,
             scene,
-            _effects(effects),
+            None if effects is None else read_effects(effects).effects,
             _withheld(withheld),
             ModelSettings(samples, steps, None, joints, device),  # type: ignore[arg-type]
             threads or 1,
@@ -105,6 +106,8 @@ def evaluate(
         evaluation, exhibit = evaluate_policies(runs, dataset, policies, settings, stage)
         stage("writing the page")
         page = write_policy_evaluation(evaluation, exhibit, out)
+    if effects is not None and exhibit is not None:
+        note_other_scene(read_effects(effects), effects, exhibit.scene.digest)
     console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
     console.note(f"page: {page}")
 
@@ -122,15 +125,6 @@ def _worlds(names: list[str], scene: str | None) -> tuple[list[Path], str | None
             found=", ".join(scenes),
         )
     return runs, scenes[0] if scenes else None
-
-
-def _effects(path: Path | None) -> tuple[EffectSetting, ...] | None:
-    """Return the repair that a file holds."""
-    if path is None:
-        return None
-    from candata.effects import read_effects
-
-    return read_effects(path).effects
 
 
 def _withheld(path: Path | None) -> Withheld | None:

@@ -116,6 +116,15 @@ def test_a_learned_world_moves_the_object_as_forecast_and_joints_by_their_lag(gr
     assert "joints by a servo lag" in learned(0.1).summary
 
 
+def test_joints_of_planned_commands_may_be_those_of_the_nominal_simulator(gripper, starts, policies, learned):
+    (grasp,) = read_policies(policies({"name": "g", "source": "grasp_lift_shake"}), gripper)
+    simulated = SimulatedWorld("nominal", gripper).play(grasp, starts, 1, 0.5)
+    world = replace(learned(0.1), joints="simulator")
+    np.testing.assert_allclose(world.play(grasp, starts, 1, 0.5).joint_position, simulated.joint_position, atol=1e-6)
+    assert "nominal simulator" in world.summary
+    assert np.abs(learned(0.1).play(grasp, starts, 1, 0.5).joint_position - simulated.joint_position).max() > 1e-4
+
+
 def test_a_policy_sees_the_forecast_of_pose_and_contact(gripper, starts, learned):
     seen: list[tuple[float, float]] = []
 
