@@ -35,7 +35,7 @@ from candata.policy_evaluation.cost import chunk_cost
 from candata.policy_evaluation.distillation import chunk_rows, distilled_network, write_network
 from candata.policy_evaluation.filter_results import FilterResult, filter_text
 from candata.policy_evaluation.filtering import choose_chunks, run_filter
-from candata.policy_evaluation.goals import goal_named
+from candata.policy_evaluation.goals import parsed_goal
 from candata.policy_evaluation.refine_results import RefineResult, refine_text
 from candata.policy_evaluation.refinement import MppiSettings
 from candata.policy_evaluation.refining import run_refine
@@ -118,7 +118,7 @@ def bench_of(options: argparse.Namespace, folder: Path, number: int) -> ChunkBen
     data = recorded(options, folder, number)
     run = trained(options, folder, data)
     request = ChunkRequest(
-        goal_named(GOAL),
+        parsed_goal(GOAL),
         starts=options.starts,
         samples=options.samples,
         seed=number,
@@ -139,7 +139,7 @@ def kept(path: Path, make: Callable[[], str]) -> str:
 def distilled(options: argparse.Namespace, folder: Path, bench: ChunkBench, refined: np.ndarray, number: int) -> str:
     """Return success in the withheld world of closed loops distilled from planned and from refined chunks."""
     world, shares = bench.simulators[-1], {}
-    goal, scene = goal_named(GOAL), load_scene(options.scene)
+    goal, scene = parsed_goal(GOAL), load_scene(options.scene)
     for name, commands in (("planned", bench.planned()), ("refined", refined)):
         rows = chunk_rows(world.starts, commands, world.forecaster)  # type: ignore[arg-type]
         path = write_network(folder / f"{name}.safetensors", distilled_network(rows, bench.scene, number))

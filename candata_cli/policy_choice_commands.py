@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")]
 Data = Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name; its test episodes are used.")]
-GoalName = Annotated[str, typer.Option("--goal", help="lift, turn or topple.")]
+GoalName = Annotated[str, typer.Option("--goal", help="lift[:m[,s]], place:x,y (m), turn[:rad] or topple.")]
 Policy = Annotated[
     str,
     typer.Option(
@@ -93,10 +93,10 @@ def filter_commands(
     from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
     from candata.policy_evaluation.filter_results import filter_text
     from candata.policy_evaluation.filtering import run_filter
-    from candata.policy_evaluation.goals import goal_named
+    from candata.policy_evaluation.goals import parsed_goal
 
     request = ChunkRequest(
-        goal_named(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
+        parsed_goal(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
     )
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
@@ -148,13 +148,13 @@ def refine_commands(
     from candata.policies import write_motions
     from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
     from candata.policy_evaluation.distillation import write_network
-    from candata.policy_evaluation.goals import goal_named
+    from candata.policy_evaluation.goals import parsed_goal
     from candata.policy_evaluation.refine_results import refine_text
     from candata.policy_evaluation.refinement import MppiSettings
     from candata.policy_evaluation.refining import refined_motions, refined_network, run_refine
 
     request = ChunkRequest(
-        goal_named(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
+        parsed_goal(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
     )
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)

@@ -28,7 +28,7 @@ from candata.policy_evaluation.distillation import (
     distilled_network,
     write_network,
 )
-from candata.policy_evaluation.goals import goal_named
+from candata.policy_evaluation.goals import parsed_goal
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.policy_card import PolicyCard
@@ -78,14 +78,14 @@ def test_the_recorded_commands_are_forecast_as_they_went(starts, nominal, data, 
     recorded = next(iter(open_dataset(data).episodes())).arrays["object_pose"][present : present + ROWS + 1]
     assert np.ptp(recorded[:, 2]) > 0.02  # else staying would do
     assert np.abs(forecast.poses[0, 0, 0, :, :3] - recorded[:, :3]).max() < 0.01
-    assert forecast.succeeds(goal_named("lift"), scene).all()
-    assert forecast.cost(goal_named("lift")).reached.all()
+    assert forecast.succeeds(parsed_goal("lift"), scene).all()
+    assert forecast.cost(parsed_goal("lift")).reached.all()
 
 
 def test_other_commands_and_other_worlds_end_otherwise(starts, nominal, scene):
     recorded = starts.recorded(ROWS)
     still = np.repeat(starts.previous[:, None], ROWS, axis=1)
-    commands, goal = np.stack([recorded, still], axis=1), goal_named("lift")
+    commands, goal = np.stack([recorded, still], axis=1), parsed_goal("lift")
     assert nominal.forecast(commands, (0,)).succeeds(goal, scene).tolist() == [[True, False]] * len(starts)
     slippery = simulated_world("slippery", starts, ROWS, None, SLIPPERY)
     assert not slippery.forecast(commands, (0,)).succeeds(goal, scene).any()
