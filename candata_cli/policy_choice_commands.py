@@ -101,8 +101,9 @@ def filter_commands(
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
         result, motions = run_filter(bench, goal, candidates, noise, stage)
-    if out is not None and motions:
-        console.note(f"chosen chunks: {write_motions(out, bench.scene, motions)}")
+    if out is not None:
+        chosen = write_motions(out, bench.scene, motions) if motions else "none, nothing is written"
+        console.note(f"chosen chunks: {chosen}")
     console.out(result.model_dump_json(indent=2) if json else filter_text(result))
 
 

@@ -232,10 +232,11 @@ def test_filter_prints_who_gained_what_and_writes_playable_chunks(trained, data,
         assert "abstained" in again.out
 
 
-def test_refine_writes_a_policy_that_generate_sim_plays(trained, data, tmp_path):
+def test_refine_writes_a_policy_that_generate_sim_plays(trained, data, scene, rng, tmp_path):
     out, played = tmp_path / "refined.safetensors", tmp_path / "played"
+    policy = write_network(tmp_path / "policy.safetensors", network(scene, rng))
     words = ("--candidates", 3, "--rounds", 1, "--samples", 1, "--chunk", 0.5, "--threads", 1, "--out", out)
-    made = run("policy", "refine", trained, data, *words)
+    made = run("policy", "refine", trained, data, "--policy", policy, *words)
     assert made.code == 0, made.err
     assert "refined the chunk of 0.5 s" in made.out
     sim = ("--scene", "gripper_tabletop", "--episodes", 1, "--duration-s", 0.4, "--jobs", 1, "--out", played)
