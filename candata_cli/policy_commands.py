@@ -19,7 +19,7 @@ Targets = Annotated[
     list[str],
     typer.Argument(
         metavar="[RUN|SCENE...] DATASET",
-        help="Runs that are worlds, or the nominal scene; then the dataset: folder or registered name.",
+        help="Runs that are worlds, or the nominal scene (else the episodes' own); then the dataset.",
     ),
 ]
 Policies = Annotated[Path, typer.Option("--policies", metavar="FILE", help="YAML list of {name, source}.")]
@@ -50,6 +50,9 @@ def register(app: typer.Typer) -> None:
 def evaluate(
     targets: Targets,
     policies: Policies,
+    scene: Annotated[
+        str | None, typer.Option("--scene", metavar="SCENE", help="The nominal scene, where it is not named before.")
+    ] = None,
     effects: Effects = None,
     withheld: WithheldFile = None,
     goal: Goal = None,
@@ -81,7 +84,7 @@ def evaluate(
     from candata.policy_evaluation.worlds import ModelSettings
     from candata.reports.policy_evaluation import summary, write_policy_evaluation
 
-    runs, scene = _worlds(names)
+    runs, scene = _worlds(names, scene)
     if runs:
         need_torch()
         set_threads(threads)
@@ -106,12 +109,12 @@ def evaluate(
     console.note(f"page: {page}")
 
 
-def _worlds(names: list[str]) -> tuple[list[Path], str | None]:
-    """Return which of the names are runs, and the one that is a scene; a folder or a checkpoint is a run."""
+def _worlds(names: list[str], scene: str | None) -> tuple[list[Path], str | None]:
+    """Return which of the names are runs, and the scene; a folder or a checkpoint is a run."""
     from candata.errors import UsageError
 
     runs = [Path(name) for name in names if Path(name).is_dir() or name.endswith(".safetensors")]
-    scenes = [name for name in names if Path(name) not in runs]
+    scenes = [*filter(None, [scene]), *(name for name in names if Path(name) not in runs)]
     if len(scenes) > 1:
         raise UsageError(
             "policies are evaluated in one scene",

@@ -179,8 +179,8 @@ def play_all(
     """
     played: dict[tuple[str, str], Played] = {}
     for world in worlds:
+        stage(f"{len(policies)} policies in {world.name}")
         for policy in policies:
-            stage(f"{policy.name} in {world.name}")
             result = world.play(policy, starts, settings.seed, settings.duration_s)
             if None in result.outcomes:
                 raise UsageError(

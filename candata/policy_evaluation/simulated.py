@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from candata.policies import Goal
 from candata.policy_evaluation.contract import Array, Played, PlayedPolicy, RealStarts
 from candata.policy_evaluation.pilots import closed_loop, held
 from candata.scenes import Scene
@@ -89,12 +90,12 @@ class SimulatedWorld:
             trajectory.failed < commands.shape[1],
         )
 
-    def _outcome(self, trajectory: Trajectory, index: int, part: slice, goal: object) -> str:
+    def _outcome(self, trajectory: Trajectory, index: int, part: slice, goal: Goal) -> str:
         """Return what became of the object in one simulation."""
         motion = object_motion(
             self.scene, trajectory.qpos[index, part], trajectory.touch[index, part], trajectory.tip_force[index, part]
         )
-        return outcome(goal, motion)  # type: ignore[arg-type]
+        return outcome(goal, motion)
 
     def _sensed(self, seed: int, number: int, readings: dict[str, Array]) -> dict[str, Array]:
         """Return readings `(T, ...)` with the sensor noise of a start, the same in every simulated world."""

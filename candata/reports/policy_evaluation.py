@@ -207,7 +207,7 @@ def _effect_words(evaluation: PolicyEvaluation) -> str:
     if not evaluation.effects:
         return ""
     against = "what was seen" if evaluation.compared_with == "seen" else "the repaired simulator, as nothing was seen"
-    return f"Wrong predictions of the nominal simulator, against {against}, which each effect explains:"
+    return f"Effects, by the wrong predictions of the nominal simulator (against {against}) that each explains."
 
 
 def _disagreement_sentence(evaluation: PolicyEvaluation) -> str:
