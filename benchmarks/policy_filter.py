@@ -41,6 +41,7 @@ from candata.policy_evaluation.goals import parsed_goal
 from candata.policy_evaluation.refine_results import RefineResult, refine_text
 from candata.policy_evaluation.refinement import MppiSettings
 from candata.policy_evaluation.refining import run_refine
+from candata.policy_evaluation.seen import Withheld
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.generate import generate
@@ -118,7 +119,7 @@ def bench_of(options: argparse.Namespace, folder: Path, number: int) -> ChunkBen
         seed=number,
         scene=options.scene,
         effects=repair(options, folder, data, number),
-        withheld=hidden_effects(number),
+        withheld=Withheld(hidden_effects(number)),
     )
     return chunk_bench(run, open_dataset(data), request)
 
@@ -227,7 +228,7 @@ def main() -> None:
         mark = "met" if means[model] >= target else "MISSED"
         print(f"\n{word}, points over {options.worlds} worlds: {text} ({mark} by {model}, target {target:+.0f})")
         print(f"  where nothing is wrong: {', '.join(f'{n} {p:+.0f}' for n, p in lifts[0].items())}")
-    abstained = [f.withheld.choosers[f.judge].abstained.share for f, _ in results[1:] if f.withheld]
+    abstained = [f.withheld.choosers[f.judge].abstained.value for f, _ in results[1:] if f.withheld]
     mark = "met" if statistics.mean(abstained) <= MOST_ABSTAINED else "MISSED"
     print(f"abstained: {statistics.mean(abstained):.0%} ({mark}, target at most {MOST_ABSTAINED:.0%})")
     timed(options)
@@ -235,7 +236,7 @@ def main() -> None:
 
 def _points(results) -> dict[str, float]:
     """Return what each gained, in points; 0 where nothing was chosen."""
-    return {name: 100 * (each.lift or 0.0) for name, each in results.items()}
+    return {name: 100 * each.lift.value if each.lift else 0.0 for name, each in results.items()}
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from candata_cli.outputs import check_output
 from candata_cli.torch_options import Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
+    from candata.policy_evaluation.seen import Withheld
     from candata.schema.effect import EffectSetting
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")]
@@ -39,7 +40,10 @@ SceneName = Annotated[
 ]
 Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="The repaired simulator takes part.")]
 WithheldFile = Annotated[
-    Path | None, typer.Option("--withheld", metavar="FILE", help="Effects of the world in which choices are judged.")
+    Path | None,
+    typer.Option(
+        "--withheld", metavar="FILE", help="World in which choices are judged: an effects.yaml, or a seal.json."
+    ),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all that is drawn.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -96,7 +100,17 @@ def filter_commands(
     from candata.policy_evaluation.goals import parsed_goal
 
     request = ChunkRequest(
-        parsed_goal(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
+        parsed_goal(goal),
+        policy,
+        starts,
+        at,
+        chunk,
+        samples,
+        steps,
+        seed,
+        scene,
+        _effects(effects),
+        _withheld(withheld),
     )
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
@@ -155,7 +169,17 @@ def refine_commands(
     from candata.policy_evaluation.refining import refined_motions, refined_network, run_refine
 
     request = ChunkRequest(
-        parsed_goal(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
+        parsed_goal(goal),
+        policy,
+        starts,
+        at,
+        chunk,
+        samples,
+        steps,
+        seed,
+        scene,
+        _effects(effects),
+        _withheld(withheld),
     )
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
@@ -178,3 +202,12 @@ def _effects(path: Path | None) -> tuple[EffectSetting, ...] | None:
     from candata.effects import read_effects
 
     return tuple(read_effects(path).effects)
+
+
+def _withheld(path: Path | None) -> Withheld | None:
+    """Return the world in which choices are judged; None without a file."""
+    if path is None:
+        return None
+    from candata.policy_evaluation.seen import withheld_effects
+
+    return withheld_effects(path)

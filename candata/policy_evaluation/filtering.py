@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from candata.policies import Goal, Motion
 from candata.policy_evaluation.choice import Choice, choose
 from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
 from candata.policy_evaluation.filter_results import ChooserResult, FilterResult, StartResult, Withheld
+from candata.policy_evaluation.ranking import CONFIDENCE, wilson
+from candata.policy_evaluation.results import Interval
 from candata.scenes import Scene
 from candata.statistics import resamples
-from candata.training.results import Success
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -116,28 +116,24 @@ def _chooser_result(success: Array, has_chosen: Flags, by_chance: Array, rng: np
     if not has_chosen.any():
         return ChooserResult(abstained=abstained)
     gains = (success - by_chance)[has_chosen]
-    lift, low, high = paired_lift(gains, rng)
     return ChooserResult(
         abstained=abstained,
         after=success_share(success[has_chosen].sum(), int(has_chosen.sum())),
         before=success_share(by_chance[has_chosen].sum(), int(has_chosen.sum())),
-        lift=lift,
-        lift_low=low,
-        lift_high=high,
+        lift=paired_lift(gains, rng),
     )
 
 
-def paired_lift(gains: Array, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Return the mean of gains `(n,)` by start and the ends of its 95 % interval by bootstrap over the starts."""
+def paired_lift(gains: Array, rng: np.random.Generator) -> Interval:
+    """Return the mean of gains `(n,)` by start, with its interval by bootstrap over the starts."""
     means = gains[resamples(rng, len(gains), DRAWS)].mean(1)
-    low, high = np.quantile(means, [0.025, 0.975]).tolist()
-    return float(gains.mean()), low, high
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
+    return Interval(value=float(gains.mean()), low=low, high=high)
 
 
-def success_share(count: float, total: int) -> Success:
-    """Return a share with its 95 % Wilson interval; the mean of several draws a start counts as so many successes."""
-    low, high = map(float, binomtest(round(count), total).proportion_ci(0.95, "wilson"))
-    return Success(count=round(count), total=total, share=float(count / total), low=low, high=high)
+def success_share(count: float, total: int) -> Interval:
+    """Return a share with its Wilson interval; the mean of several draws a start counts as so many successes."""
+    return wilson(round(count), total).model_copy(update={"value": float(count / total)})
 
 
 def start_results(judge: ChunkChoices, names: Sequence[str]) -> tuple[StartResult, ...]:

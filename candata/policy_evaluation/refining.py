@@ -70,14 +70,11 @@ def _withheld(
     rng = np.random.default_rng([seed, 3])
     results = {}
     for k, (name, each) in enumerate(refined.items(), start=1):
-        lift, low, high = paired_lift(success[:, k] - success[:, 0], rng)
         results[name] = RefinedSuccess(
             changed=int(each.changed.sum()),
             before=success_share(success[:, 0].sum(), len(success)),
             after=success_share(success[:, k].sum(), len(success)),
-            lift=lift,
-            lift_low=low,
-            lift_high=high,
+            lift=paired_lift(success[:, k] - success[:, 0], rng),
         )
     return results
 
