@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +92,7 @@ def refined_network(bench: ChunkBench, commands: Array) -> Network:
         As `read_network` and `distilled_last_layer`.
     """
     world = bench.simulators[-1]
-    if not isinstance(world.forecaster, Simulator):
-        raise TypeError("the simulators of a bench simulate")
-    rows = chunk_rows(world.starts, commands, world.forecaster)
+    rows = chunk_rows(world.starts, commands, cast(Simulator, world.forecaster))
     policy = bench.request.policy
     if policy.endswith(SUFFIX):
         return distilled_last_layer(read_network(Path(policy))[0], rows)
