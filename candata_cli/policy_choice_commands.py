@@ -12,6 +12,7 @@ from candata_cli.outputs import check_output
 from candata_cli.torch_options import Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
+    from candata.policy_evaluation.chunk_bench import ChunkRequest
     from candata.policy_evaluation.seen import Withheld
     from candata.schema.effect import EffectSetting
 
@@ -45,6 +46,11 @@ WithheldFile = Annotated[
         "--withheld", metavar="FILE", help="World in which choices are judged: an effects.yaml, or a seal.json."
     ),
 ]
+ChosenFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Chosen chunks as a .parquet.")]
+PolicyFile = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="A policy that does so: a .safetensors and its card.")
+]
+ChunksFile = Annotated[Path | None, typer.Option("--chunks", metavar="FILE", help="Refined chunks as a .parquet.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all that is drawn.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
@@ -79,7 +85,7 @@ def filter_commands(
     scene: SceneName = None,
     effects: Effects = None,
     withheld: WithheldFile = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Chosen chunks as a .parquet.")] = None,
+    out: ChosenFile = None,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -89,29 +95,15 @@ def filter_commands(
     `--policy` may be a .parquet of motions: these are the candidates then. With `--withheld` the choices of the model
     and of the simulators are played in that world, beside random choice.
     """
-    if out is not None:
-        check_output(out, "file")
+    _check_file(out, ".parquet", "--out")
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
-    from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
+    from candata.policy_evaluation.chunk_bench import chunk_bench
     from candata.policy_evaluation.filter_results import filter_text
     from candata.policy_evaluation.filtering import run_filter
-    from candata.policy_evaluation.goals import parsed_goal
 
-    request = ChunkRequest(
-        parsed_goal(goal),
-        policy,
-        starts,
-        at,
-        chunk,
-        samples,
-        steps,
-        seed,
-        scene,
-        _effects(effects),
-        _withheld(withheld),
-    )
+    request = _request(goal, policy, starts, at, chunk, samples, steps, seed, scene, effects, withheld)
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
         result, motions = run_filter(bench, goal, candidates, noise, stage)
@@ -138,13 +130,8 @@ def refine_commands(
     scene: SceneName = None,
     effects: Effects = None,
     withheld: WithheldFile = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="A policy that does so, as a .safetensors and its card."),
-    ] = None,
-    chunks: Annotated[
-        Path | None, typer.Option("--chunks", metavar="FILE", help="Refined chunks as a .parquet.")
-    ] = None,
+    out: PolicyFile = None,
+    chunks: ChunksFile = None,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -155,32 +142,19 @@ def refine_commands(
     --policy-module FILE.safetensors`. With `--withheld` the chunks are played in that world, beside those that the
     simulators refine.
     """
-    for path in (out, chunks):
-        if path is not None:
-            check_output(path, "file")
+    _check_file(out, ".safetensors", "--out")
+    _check_file(out and out.with_suffix(".json"), ".json", "--out")
+    _check_file(chunks, ".parquet", "--chunks")
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
-    from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
+    from candata.policy_evaluation.chunk_bench import chunk_bench
     from candata.policy_evaluation.distillation import write_network
-    from candata.policy_evaluation.goals import parsed_goal
     from candata.policy_evaluation.refine_results import refine_text
     from candata.policy_evaluation.refinement import MppiSettings
     from candata.policy_evaluation.refining import refined_motions, refined_network, run_refine
 
-    request = ChunkRequest(
-        parsed_goal(goal),
-        policy,
-        starts,
-        at,
-        chunk,
-        samples,
-        steps,
-        seed,
-        scene,
-        _effects(effects),
-        _withheld(withheld),
-    )
+    request = _request(goal, policy, starts, at, chunk, samples, steps, seed, scene, effects, withheld)
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
         settings = MppiSettings(candidates=candidates, rounds=rounds, noise=noise, seed=seed)
@@ -193,6 +167,39 @@ def refine_commands(
     if chunks is not None:
         console.note(f"refined chunks: {write_motions(chunks, bench.scene, refined_motions(bench, refined))}")
     console.out(result.model_dump_json(indent=2) if json else refine_text(result))
+
+
+def _check_file(path: Path | None, suffix: str, option: str) -> None:
+    """Refuse a file that cannot be written, or has another suffix, before anything is computed."""
+    if path is None:
+        return
+    if path.suffix.lower() != suffix:
+        from candata.errors import UsageError
+
+        raise UsageError(f"{option} {path.name} has another suffix", expected=f"a {suffix} file")
+    check_output(path, "file", option)
+
+
+def _request(
+    goal: str,
+    policy: str,
+    starts: int,
+    at_s: float | None,
+    chunk_s: float | None,
+    samples: int,
+    steps: int,
+    seed: int,
+    scene: str | None,
+    effects: Path | None,
+    withheld: Path | None,
+) -> ChunkRequest:
+    """Return what both commands ask for."""
+    from candata.policy_evaluation.chunk_bench import ChunkRequest
+    from candata.policy_evaluation.goals import parsed_goal
+
+    meant = parsed_goal(goal)
+    worlds = _effects(effects), _withheld(withheld)
+    return ChunkRequest(meant, policy, starts, at_s, chunk_s, samples, steps, seed, scene, *worlds)
 
 
 def _effects(path: Path | None) -> tuple[EffectSetting, ...] | None:

@@ -250,6 +250,12 @@ def test_a_chunk_longer_than_the_model_can_roll_is_refused(trained, data):
     assert "at most 1.6 s" in refused.err
 
 
+def test_a_file_of_another_kind_is_refused_before_anything_is_computed(tmp_path):
+    refused = run("policy", "refine", "no run", "no data", "--out", tmp_path / "policy.onnx")
+    assert refused.code == 2
+    assert "a .safetensors file" in refused.err
+
+
 def test_a_model_that_does_not_read_the_plan_is_refused(data, tmp_path):
     folder = tmp_path / "blind"
     assert train(data, folder, "{width: 8, layers: 1, planned_actions: false}").code == 0
