@@ -39,9 +39,13 @@ class ChooserResult(Record):
 
 
 class Withheld(Record):
-    """Success in a withheld world: of random choice, and of each chooser; `success` is by start."""
+    """Success in a withheld world: of random choice, of the planned chunks, and of each chooser.
+
+    `planned` is null where the candidates are motions of a file; `success` is by start, null where nothing was chosen.
+    """
 
     random: Interval
+    planned: Interval | None = None
     choosers: dict[str, ChooserResult]
     success: dict[str, tuple[bool | None, ...]]
 
@@ -83,6 +87,8 @@ def _withheld_lines(withheld: Withheld) -> list[str]:
     width = max(len("in the withheld world, by"), *(len(name) for name in withheld.choosers))
     heads = f"{'in the withheld world, by':{width}}  {'before':>18}  {'after':>18}  {'gain':>24}  abstained"
     lines = [heads, f"{'random choice':{width}}  {interval_text(withheld.random)}"]
+    if withheld.planned is not None:
+        lines.append(f"{'no choice, as planned':{width}}  {interval_text(withheld.planned)}")
     for name, each in withheld.choosers.items():
         lines.append(
             f"{name:{width}}  {interval_text(each.before)}  {interval_text(each.after)}  "

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.policies import Goal, Motion
+from candata.policy_evaluation.candidates import AS_PLANNED, Candidates
 from candata.policy_evaluation.choice import Choice, choose
 from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
@@ -63,18 +64,23 @@ def choose_chunks(world: ChunkWorld, commands: Array, playable: Flags, goal: Goa
 
 
 def withheld_result(
-    choosers: Sequence[ChunkChoices], commands: Array, goal: Goal, scene: Scene, withheld: ChunkWorld, seed: int
+    choosers: Sequence[ChunkChoices],
+    candidates: Candidates,
+    goal: Goal,
+    scene: Scene,
+    withheld: ChunkWorld,
+    seed: int,
 ) -> Withheld:
-    """Return what random choice and each chooser's chunks come to in a withheld world.
+    """Return what random choice, the planned chunks and each chooser's chunks come to in a withheld world.
 
-    Only the chunks that are compared are played: those chosen, and some drawn at random at each start.
+    Only the chunks that are compared are played: these, and some drawn at random at each start.
 
     Parameters
     ----------
     choosers : sequence of ChunkChoices
         Who chose.
-    commands : (S, N, R, A) float64
-        Chunks.
+    candidates : Candidates
+        Chunks; the first is the planned one where it is called so.
     goal : Goal
         What is meant.
     scene : Scene
@@ -85,10 +91,11 @@ def withheld_result(
         Of random choice and of the bootstrap.
     """
     rng = np.random.default_rng([seed, 1])
+    commands, has_plan = candidates.commands, candidates.names[0] == AS_PLANNED
     starts, count = commands.shape[:2]
     drawn = rng.integers(count, size=(starts, min(RANDOM_DRAWS, count)))
     chosen = np.stack([each.candidate for each in choosers], axis=1)
-    played = np.concatenate([drawn, np.maximum(chosen, 0)], axis=1)
+    played = np.concatenate([drawn, np.maximum(chosen, 0), np.zeros((starts, int(has_plan)), int)], axis=1)
     rows = np.arange(starts)[:, None]
     success = withheld.forecast(commands[rows, played], (seed,)).succeeds(goal, scene).astype(float)
     by_chance = success[:, : drawn.shape[1]].mean(1)
@@ -98,6 +105,7 @@ def withheld_result(
     }
     return Withheld(
         random=success_share(by_chance.sum(), starts),
+        planned=success_share(success[:, -1].sum(), starts) if has_plan else None,
         choosers=results,
         success={
             each.world.name: _flags(success[:, drawn.shape[1] + k], chosen[:, k]) for k, each in enumerate(choosers)
@@ -191,7 +199,7 @@ def run_filter(
             stage(f"forecasting by the {world.name}")
             choosers.append(choose_chunks(world, candidates.commands, candidates.playable, request.goal, seed))
         stage("playing in the withheld world")
-        withheld = withheld_result(choosers, candidates.commands, request.goal, bench.scene, bench.withheld, seed)
+        withheld = withheld_result(choosers, candidates, request.goal, bench.scene, bench.withheld, seed)
     dataset = bench.starts.windows.dataset
     result = FilterResult(
         dataset=f"{dataset.name}@{dataset.digest[:12]}",

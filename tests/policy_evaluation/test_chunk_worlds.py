@@ -17,7 +17,7 @@ from candata.errors import DataError, UsageError
 from candata.loaders import windows
 from candata.policies import Goal, Observation, read_motions, read_step_policy
 from candata.policies._network import Network
-from candata.policy_evaluation.candidates import policy_chunks
+from candata.policy_evaluation.candidates import AS_PLANNED, Candidates, policy_chunks
 from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
 from candata.policy_evaluation.chunk_starts import chunk_starts
 from candata.policy_evaluation.chunk_worlds import FAMILIAR_SDS, ChunkWorld, simulated_world
@@ -28,6 +28,7 @@ from candata.policy_evaluation.distillation import (
     distilled_network,
     write_network,
 )
+from candata.policy_evaluation.filtering import choose_chunks, withheld_result
 from candata.policy_evaluation.goals import parsed_goal
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
@@ -99,6 +100,20 @@ def test_a_start_reads_nothing_of_the_recording_behind_it(starts):
     assert not batch["history/action"][:, -1].any()
     assert batch["history/action"][:, -2].any()
     assert not batch["future_pad"].any()
+
+
+def test_a_chooser_that_knows_the_world_gains_on_random_choice(starts, nominal, scene):
+    recorded, goal = starts.recorded(ROWS), parsed_goal("lift")
+    still = np.repeat(starts.previous[:, None], ROWS, axis=1)
+    commands = np.stack([still, still, still, recorded], axis=1)
+    candidates = Candidates((AS_PLANNED, "1", "2", "3"), commands, np.ones(commands.shape[:2], bool))
+    choosers = [choose_chunks(nominal, commands, candidates.playable, goal, 0)]
+    result = withheld_result(choosers, candidates, goal, scene, nominal, 0)
+    assert result.planned.value == 0 < result.random.value < 0.6
+    assert result.choosers["nominal"].after.value == 1
+    assert result.choosers["nominal"].lift.low > 0.3
+    assert result.choosers["nominal"].abstained.value == 0
+    assert result.success["nominal"] == (True,) * len(starts)
 
 
 def test_a_chunk_beyond_the_horizon_is_refused(nominal, starts):
