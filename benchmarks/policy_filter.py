@@ -22,6 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,19 +32,20 @@ from candata.datasets import open_dataset
 from candata.effects import read_effects
 from candata.loaders.splits import DEFAULT, make_split, save_split
 from candata.policy_evaluation.chunk_bench import ChunkBench, ChunkRequest, chunk_bench
+from candata.policy_evaluation.chunk_starts import ChunkStarts
 from candata.policy_evaluation.cost import chunk_cost
 from candata.policy_evaluation.distillation import chunk_rows, distilled_network, write_network
 from candata.policy_evaluation.filter_results import FilterResult, filter_text
 from candata.policy_evaluation.filtering import choose_chunks, run_filter
-from candata.policy_evaluation.goals import goal_named
+from candata.policy_evaluation.goals import parsed_goal
 from candata.policy_evaluation.refine_results import RefineResult, refine_text
 from candata.policy_evaluation.refinement import MppiSettings
 from candata.policy_evaluation.refining import run_refine
+from candata.policy_evaluation.seen import Withheld
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.generate import generate
 from candata.training import TrainingSettings, TrainRequest, prepare, train
-from candata.training.runs import FILE as RUN_FILE
 
 GOAL, TASK = "lift", "grasp_lift_shake"
 FILTER_POINTS, MOST_ABSTAINED, REFINE_POINTS, FILTER_S = 15.0, 0.3, 10.0, 2.0
@@ -91,14 +93,7 @@ def trained(options: argparse.Namespace, folder: Path, data: Path) -> Path:
     settings = TrainingSettings(steps=options.steps, learning_rate=1e-3, seed=0)
     request = TrainRequest("contact_diffusion", "small", {"members": options.members})
     train(prepare(open_dataset(data), request, settings), run)
-    assert_run(run)
     return run
-
-
-def assert_run(run: Path) -> None:
-    """End where training left nothing."""
-    if not (run / RUN_FILE).is_file():
-        sys.exit(f"no run in {run}")
 
 
 def repair(options: argparse.Namespace, folder: Path, data: Path, number: int) -> tuple[EffectSetting, ...]:
@@ -118,13 +113,13 @@ def bench_of(options: argparse.Namespace, folder: Path, number: int) -> ChunkBen
     data = recorded(options, folder, number)
     run = trained(options, folder, data)
     request = ChunkRequest(
-        goal_named(GOAL),
+        parsed_goal(GOAL),
         starts=options.starts,
         samples=options.samples,
         seed=number,
         scene=options.scene,
         effects=repair(options, folder, data, number),
-        withheld=hidden_effects(number),
+        withheld=Withheld(hidden_effects(number)),
     )
     return chunk_bench(run, open_dataset(data), request)
 
@@ -139,7 +134,7 @@ def kept(path: Path, make: Callable[[], str]) -> str:
 def distilled(options: argparse.Namespace, folder: Path, bench: ChunkBench, refined: np.ndarray, number: int) -> str:
     """Return success in the withheld world of closed loops distilled from planned and from refined chunks."""
     world, shares = bench.simulators[-1], {}
-    goal, scene = goal_named(GOAL), load_scene(options.scene)
+    goal, scene = parsed_goal(GOAL), load_scene(options.scene)
     for name, commands in (("planned", bench.planned()), ("refined", refined)):
         rows = chunk_rows(world.starts, commands, world.forecaster)  # type: ignore[arg-type]
         path = write_network(folder / f"{name}.safetensors", distilled_network(rows, bench.scene, number))
@@ -177,7 +172,8 @@ def judged(options: argparse.Namespace, number: int) -> tuple[FilterResult, Refi
     hidden = ", ".join(f"{s.name} {json.dumps(dict(s.parameters))}" for s in hidden_effects(number)) or "nothing"
     shares = json.loads(files[2].read_text())
     print(f"\n== world {number} hides {hidden}\n{filter_text(filtered)}\n\n{refine_text(refine_result)}")
-    print(f"closed loops distilled: {shares['planned']:.0%} planned, {shares['refined']:.0%} refined")
+    words = f"closed loops distilled: {shares['planned']:.0%} planned, {shares['refined']:.0%} refined"
+    print(words, flush=True)
     return filtered, refine_result
 
 
@@ -185,9 +181,9 @@ def timed(options: argparse.Namespace) -> None:
     """Print what a choice among 64 chunks costs on one core, in seconds and in single forecasts."""
     torch.set_num_threads(1)
     bench = bench_of(options, options.out / "world-1", 1)
-    windows = bench.model.starts.windows
-    first = bench.model.starts.__class__(windows=_first(windows))
-    model = type(bench.model)(bench.model.name, bench.model.forecaster, first, bench.model.normaliser)
+    windows = bench.starts.windows
+    first = ChunkStarts(replace(windows, present_row=windows.present_row[:1], owner=windows.owner[:1]))
+    model = replace(bench.model, starts=first)
     commands = np.repeat(first.recorded(bench.rows)[:, None], 64, axis=1)
     playable = np.ones(commands.shape[:2], bool)
     spent = []
@@ -203,13 +199,6 @@ def timed(options: argparse.Namespace) -> None:
         f"\na choice among 64 chunks of {bench.chunk_s:g} s, {options.samples} samples by 4 steps: {spent[1]:.2f} s on "
         f"one core ({mark}, target {FILTER_S:g} s), {spent[1] / spent[0]:.1f} times one chunk ({spent[0]:.3f} s)"
     )
-
-
-def _first(windows):
-    """Return the windows of the first start alone."""
-    from dataclasses import replace
-
-    return replace(windows, present_row=windows.present_row[:1], owner=windows.owner[:1])
 
 
 def main() -> None:
@@ -239,7 +228,7 @@ def main() -> None:
         mark = "met" if means[model] >= target else "MISSED"
         print(f"\n{word}, points over {options.worlds} worlds: {text} ({mark} by {model}, target {target:+.0f})")
         print(f"  where nothing is wrong: {', '.join(f'{n} {p:+.0f}' for n, p in lifts[0].items())}")
-    abstained = [f.withheld.choosers[f.judge].abstained.share for f, _ in results[1:] if f.withheld]
+    abstained = [f.withheld.choosers[f.judge].abstained.value for f, _ in results[1:] if f.withheld]
     mark = "met" if statistics.mean(abstained) <= MOST_ABSTAINED else "MISSED"
     print(f"abstained: {statistics.mean(abstained):.0%} ({mark}, target at most {MOST_ABSTAINED:.0%})")
     timed(options)
@@ -247,7 +236,7 @@ def main() -> None:
 
 def _points(results) -> dict[str, float]:
     """Return what each gained, in points; 0 where nothing was chosen."""
-    return {name: 100 * (each.lift or 0.0) for name, each in results.items()}
+    return {name: 100 * each.lift.value if each.lift else 0.0 for name, each in results.items()}
 
 
 if __name__ == "__main__":

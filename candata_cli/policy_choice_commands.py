@@ -12,11 +12,13 @@ from candata_cli.outputs import check_output
 from candata_cli.torch_options import Threads, need_torch, set_threads
 
 if TYPE_CHECKING:
+    from candata.policy_evaluation.chunk_bench import ChunkRequest
+    from candata.policy_evaluation.seen import Withheld
     from candata.schema.effect import EffectSetting
 
 RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")]
 Data = Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name; its test episodes are used.")]
-GoalName = Annotated[str, typer.Option("--goal", help="lift, turn or topple.")]
+GoalName = Annotated[str, typer.Option("--goal", help="lift[:m[,s]], place:x,y (m), turn[:rad] or topple.")]
 Policy = Annotated[
     str,
     typer.Option(
@@ -39,8 +41,16 @@ SceneName = Annotated[
 ]
 Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="The repaired simulator takes part.")]
 WithheldFile = Annotated[
-    Path | None, typer.Option("--withheld", metavar="FILE", help="Effects of the world in which choices are judged.")
+    Path | None,
+    typer.Option(
+        "--withheld", metavar="FILE", help="World in which choices are judged: an effects.yaml, or a seal.json."
+    ),
 ]
+ChosenFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Chosen chunks as a .parquet.")]
+PolicyFile = Annotated[
+    Path | None, typer.Option("--out", metavar="FILE", help="A policy that does so: a .safetensors and its card.")
+]
+ChunksFile = Annotated[Path | None, typer.Option("--chunks", metavar="FILE", help="Refined chunks as a .parquet.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Of all that is drawn.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
@@ -75,7 +85,7 @@ def filter_commands(
     scene: SceneName = None,
     effects: Effects = None,
     withheld: WithheldFile = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Chosen chunks as a .parquet.")] = None,
+    out: ChosenFile = None,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -85,24 +95,21 @@ def filter_commands(
     `--policy` may be a .parquet of motions: these are the candidates then. With `--withheld` the choices of the model
     and of the simulators are played in that world, beside random choice.
     """
-    if out is not None:
-        check_output(out, "file")
+    _check_file(out, ".parquet", "--out")
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
-    from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
+    from candata.policy_evaluation.chunk_bench import chunk_bench
     from candata.policy_evaluation.filter_results import filter_text
     from candata.policy_evaluation.filtering import run_filter
-    from candata.policy_evaluation.goals import goal_named
 
-    request = ChunkRequest(
-        goal_named(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
-    )
+    request = _request(goal, policy, starts, at, chunk, samples, steps, seed, scene, effects, withheld)
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
         result, motions = run_filter(bench, goal, candidates, noise, stage)
-    if out is not None and motions:
-        console.note(f"chosen chunks: {write_motions(out, bench.scene, motions)}")
+    if out is not None:
+        chosen = write_motions(out, bench.scene, motions) if motions else "none, nothing is written"
+        console.note(f"chosen chunks: {chosen}")
     console.out(result.model_dump_json(indent=2) if json else filter_text(result))
 
 
@@ -123,13 +130,8 @@ def refine_commands(
     scene: SceneName = None,
     effects: Effects = None,
     withheld: WithheldFile = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="A policy that does so, as a .safetensors and its card."),
-    ] = None,
-    chunks: Annotated[
-        Path | None, typer.Option("--chunks", metavar="FILE", help="Refined chunks as a .parquet.")
-    ] = None,
+    out: PolicyFile = None,
+    chunks: ChunksFile = None,
     seed: Seed = 0,
     threads: Threads = None,
     json: Json = False,
@@ -140,22 +142,19 @@ def refine_commands(
     --policy-module FILE.safetensors`. With `--withheld` the chunks are played in that world, beside those that the
     simulators refine.
     """
-    for path in (out, chunks):
-        if path is not None:
-            check_output(path, "file")
+    _check_file(out, ".safetensors", "--out")
+    _check_file(out and out.with_suffix(".json"), ".json", "--out")
+    _check_file(chunks, ".parquet", "--chunks")
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
-    from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
+    from candata.policy_evaluation.chunk_bench import chunk_bench
     from candata.policy_evaluation.distillation import write_network
-    from candata.policy_evaluation.goals import goal_named
     from candata.policy_evaluation.refine_results import refine_text
     from candata.policy_evaluation.refinement import MppiSettings
     from candata.policy_evaluation.refining import refined_motions, refined_network, run_refine
 
-    request = ChunkRequest(
-        goal_named(goal), policy, starts, at, chunk, samples, steps, seed, scene, _effects(effects), _effects(withheld)
-    )
+    request = _request(goal, policy, starts, at, chunk, samples, steps, seed, scene, effects, withheld)
     with console.stages() as stage:
         bench = chunk_bench(run, console.open_named(data), request, stage)
         settings = MppiSettings(candidates=candidates, rounds=rounds, noise=noise, seed=seed)
@@ -170,6 +169,39 @@ def refine_commands(
     console.out(result.model_dump_json(indent=2) if json else refine_text(result))
 
 
+def _check_file(path: Path | None, suffix: str, option: str) -> None:
+    """Refuse a file that cannot be written, or has another suffix, before anything is computed."""
+    if path is None:
+        return
+    if path.suffix.lower() != suffix:
+        from candata.errors import UsageError
+
+        raise UsageError(f"{option} {path.name} has another suffix", expected=f"a {suffix} file")
+    check_output(path, "file", option)
+
+
+def _request(
+    goal: str,
+    policy: str,
+    starts: int,
+    at_s: float | None,
+    chunk_s: float | None,
+    samples: int,
+    steps: int,
+    seed: int,
+    scene: str | None,
+    effects: Path | None,
+    withheld: Path | None,
+) -> ChunkRequest:
+    """Return what both commands ask for."""
+    from candata.policy_evaluation.chunk_bench import ChunkRequest
+    from candata.policy_evaluation.goals import parsed_goal
+
+    meant = parsed_goal(goal)
+    worlds = _effects(effects), _withheld(withheld)
+    return ChunkRequest(meant, policy, starts, at_s, chunk_s, samples, steps, seed, scene, *worlds)
+
+
 def _effects(path: Path | None) -> tuple[EffectSetting, ...] | None:
     """Return the effects of a file; None without one."""
     if path is None:
@@ -177,3 +209,12 @@ def _effects(path: Path | None) -> tuple[EffectSetting, ...] | None:
     from candata.effects import read_effects
 
     return tuple(read_effects(path).effects)
+
+
+def _withheld(path: Path | None) -> Withheld | None:
+    """Return the world in which choices are judged; None without a file."""
+    if path is None:
+        return None
+    from candata.policy_evaluation.seen import withheld_effects
+
+    return withheld_effects(path)

@@ -18,6 +18,7 @@ from candata.policy_evaluation.candidates import Candidates, motion_candidates, 
 from candata.policy_evaluation.chunk_starts import ChunkStarts, chunk_starts
 from candata.policy_evaluation.chunk_worlds import ChunkWorld, simulated_world
 from candata.policy_evaluation.commands import CommandBounds, command_bounds
+from candata.policy_evaluation.seen import Withheld
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.training import evaluated_runs
@@ -52,8 +53,10 @@ class ChunkRequest:
         Of everything that is drawn.
     scene : str or None
         Scene of the simulators; by default the one that the episodes name.
-    effects, withheld : tuple of EffectSetting or None
-        Effects of the repaired simulator, and of the withheld world; None leaves that world out.
+    effects : tuple of EffectSetting or None
+        Effects of the repaired simulator; None leaves it out.
+    withheld : Withheld or None
+        The withheld world; None leaves it out.
     """
 
     goal: Goal
@@ -66,7 +69,7 @@ class ChunkRequest:
     seed: int = 0
     scene: str | None = None
     effects: tuple[EffectSetting, ...] | None = None
-    withheld: tuple[EffectSetting, ...] | None = None
+    withheld: Withheld | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +194,8 @@ def chunk_bench(
     worlds = [simulated_world(name, starts, rows, request.scene, effects) for name, effects in simulated.items()]
     withheld = None
     if request.withheld is not None:
-        withheld = simulated_world(WITHHELD, starts, rows, request.scene, request.withheld)
+        request.withheld.check(scene)
+        withheld = simulated_world(WITHHELD, starts, rows, request.scene, request.withheld.effects)
     model = ChunkWorld(judge.name, entrant.forecaster, starts, normaliser)
     return ChunkBench(request, scene, starts, command_bounds(scene, held_out), rows, model, tuple(worlds), withheld)
 

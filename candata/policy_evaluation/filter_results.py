@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from candata.policy_evaluation.results import Interval
 from candata.schema.record import Record
-from candata.training.results import Success
 
 
 class StartResult(Record):
     """What was chosen at the start of an episode.
 
     `candidate` is the name of the chunk, null where the filter abstained for `reason` (`outside`: no candidate lies
-    within what the model has seen; `unsure`: forecasts disagree by more than the choice gains). `gain` and `spread` are
+    within what the model has seen and within reach of the command before; `unsure`: forecasts disagree by more than the
+    choice gains). `gain` and `spread` are
     costs in goals. `forecast_before` and `forecast_after` are the shares of forecasts that reach the goal: of all
     candidates, and of the chosen one.
     """
@@ -31,18 +32,20 @@ class ChooserResult(Record):
     bootstrap over starts; all null where it chose nowhere. `abstained` is the share of starts.
     """
 
-    abstained: Success
-    after: Success | None = None
-    before: Success | None = None
-    lift: float | None = None
-    lift_low: float | None = None
-    lift_high: float | None = None
+    abstained: Interval
+    after: Interval | None = None
+    before: Interval | None = None
+    lift: Interval | None = None
 
 
 class Withheld(Record):
-    """Success in a withheld world: of random choice, and of each chooser; `success` is by start."""
+    """Success in a withheld world: of random choice, of the planned chunks, and of each chooser.
 
-    random: Success
+    `planned` is null where the candidates are motions of a file; `success` is by start, null where nothing was chosen.
+    """
+
+    random: Interval
+    planned: Interval | None = None
     choosers: dict[str, ChooserResult]
     success: dict[str, tuple[bool | None, ...]]
 
@@ -84,22 +87,24 @@ def _withheld_lines(withheld: Withheld) -> list[str]:
     width = max(len("in the withheld world, by"), *(len(name) for name in withheld.choosers))
     heads = f"{'in the withheld world, by':{width}}  {'before':>18}  {'after':>18}  {'gain':>24}  abstained"
     lines = [heads, f"{'random choice':{width}}  {interval_text(withheld.random)}"]
+    if withheld.planned is not None:
+        lines.append(f"{'no choice, as planned':{width}}  {interval_text(withheld.planned)}")
     for name, each in withheld.choosers.items():
         lines.append(
             f"{name:{width}}  {interval_text(each.before)}  {interval_text(each.after)}  "
-            f"{lift_text(each.lift, each.lift_low, each.lift_high)}  {each.abstained.share:.0%}"
+            f"{lift_text(each.lift)}  {each.abstained.value:.0%}"
         )
     return lines
 
 
-def interval_text(share: Success | None) -> str:
+def interval_text(share: Interval | None) -> str:
     """Return `40 % (27 to 55 %)`, at least 18 characters wide; a dash for None."""
-    text = "-" if share is None else f"{100 * share.share:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
+    text = "-" if share is None else f"{100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
     return f"{text:>18}"
 
 
-def lift_text(lift: float | None, low: float | None, high: float | None) -> str:
+def lift_text(lift: Interval | None) -> str:
     """Return `+20 (+5 to +34) points`, at least 24 characters wide; a dash for None."""
-    if lift is None or low is None or high is None:
+    if lift is None:
         return f"{'-':>24}"
-    return f"{f'{100 * lift:+.0f} ({100 * low:+.0f} to {100 * high:+.0f}) points':>24}"
+    return f"{f'{100 * lift.value:+.0f} ({100 * lift.low:+.0f} to {100 * lift.high:+.0f}) points':>24}"

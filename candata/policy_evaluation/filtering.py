@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from candata.policies import Goal, Motion
+from candata.policy_evaluation.candidates import AS_PLANNED, Candidates
 from candata.policy_evaluation.choice import Choice, choose
 from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
 from candata.policy_evaluation.filter_results import ChooserResult, FilterResult, StartResult, Withheld
+from candata.policy_evaluation.ranking import CONFIDENCE, wilson
+from candata.policy_evaluation.results import Interval
 from candata.scenes import Scene
 from candata.statistics import resamples
-from candata.training.results import Success
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -63,18 +64,23 @@ def choose_chunks(world: ChunkWorld, commands: Array, playable: Flags, goal: Goa
 
 
 def withheld_result(
-    choosers: Sequence[ChunkChoices], commands: Array, goal: Goal, scene: Scene, withheld: ChunkWorld, seed: int
+    choosers: Sequence[ChunkChoices],
+    candidates: Candidates,
+    goal: Goal,
+    scene: Scene,
+    withheld: ChunkWorld,
+    seed: int,
 ) -> Withheld:
-    """Return what random choice and each chooser's chunks come to in a withheld world.
+    """Return what random choice, the planned chunks and each chooser's chunks come to in a withheld world.
 
-    Only the chunks that are compared are played: those chosen, and some drawn at random at each start.
+    Only the chunks that are compared are played: these, and some drawn at random at each start.
 
     Parameters
     ----------
     choosers : sequence of ChunkChoices
         Who chose.
-    commands : (S, N, R, A) float64
-        Chunks.
+    candidates : Candidates
+        Chunks; the first is the planned one where it is called so.
     goal : Goal
         What is meant.
     scene : Scene
@@ -85,10 +91,11 @@ def withheld_result(
         Of random choice and of the bootstrap.
     """
     rng = np.random.default_rng([seed, 1])
+    commands, has_plan = candidates.commands, candidates.names[0] == AS_PLANNED
     starts, count = commands.shape[:2]
     drawn = rng.integers(count, size=(starts, min(RANDOM_DRAWS, count)))
     chosen = np.stack([each.candidate for each in choosers], axis=1)
-    played = np.concatenate([drawn, np.maximum(chosen, 0)], axis=1)
+    played = np.concatenate([drawn, np.maximum(chosen, 0), np.zeros((starts, int(has_plan)), int)], axis=1)
     rows = np.arange(starts)[:, None]
     success = withheld.forecast(commands[rows, played], (seed,)).succeeds(goal, scene).astype(float)
     by_chance = success[:, : drawn.shape[1]].mean(1)
@@ -98,6 +105,7 @@ def withheld_result(
     }
     return Withheld(
         random=success_share(by_chance.sum(), starts),
+        planned=success_share(success[:, -1].sum(), starts) if has_plan else None,
         choosers=results,
         success={
             each.world.name: _flags(success[:, drawn.shape[1] + k], chosen[:, k]) for k, each in enumerate(choosers)
@@ -116,28 +124,24 @@ def _chooser_result(success: Array, has_chosen: Flags, by_chance: Array, rng: np
     if not has_chosen.any():
         return ChooserResult(abstained=abstained)
     gains = (success - by_chance)[has_chosen]
-    lift, low, high = paired_lift(gains, rng)
     return ChooserResult(
         abstained=abstained,
         after=success_share(success[has_chosen].sum(), int(has_chosen.sum())),
         before=success_share(by_chance[has_chosen].sum(), int(has_chosen.sum())),
-        lift=lift,
-        lift_low=low,
-        lift_high=high,
+        lift=paired_lift(gains, rng),
     )
 
 
-def paired_lift(gains: Array, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Return the mean of gains `(n,)` by start and the ends of its 95 % interval by bootstrap over the starts."""
+def paired_lift(gains: Array, rng: np.random.Generator) -> Interval:
+    """Return the mean of gains `(n,)` by start, with its interval by bootstrap over the starts."""
     means = gains[resamples(rng, len(gains), DRAWS)].mean(1)
-    low, high = np.quantile(means, [0.025, 0.975]).tolist()
-    return float(gains.mean()), low, high
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
+    return Interval(value=float(gains.mean()), low=low, high=high)
 
 
-def success_share(count: float, total: int) -> Success:
-    """Return a share with its 95 % Wilson interval; the mean of several draws a start counts as so many successes."""
-    low, high = map(float, binomtest(round(count), total).proportion_ci(0.95, "wilson"))
-    return Success(count=round(count), total=total, share=float(count / total), low=low, high=high)
+def success_share(count: float, total: int) -> Interval:
+    """Return a share with its Wilson interval; the mean of several draws a start counts as so many successes."""
+    return wilson(round(count), total).model_copy(update={"value": float(count / total)})
 
 
 def start_results(judge: ChunkChoices, names: Sequence[str]) -> tuple[StartResult, ...]:
@@ -195,7 +199,7 @@ def run_filter(
             stage(f"forecasting by the {world.name}")
             choosers.append(choose_chunks(world, candidates.commands, candidates.playable, request.goal, seed))
         stage("playing in the withheld world")
-        withheld = withheld_result(choosers, candidates.commands, request.goal, bench.scene, bench.withheld, seed)
+        withheld = withheld_result(choosers, candidates, request.goal, bench.scene, bench.withheld, seed)
     dataset = bench.starts.windows.dataset
     result = FilterResult(
         dataset=f"{dataset.name}@{dataset.digest[:12]}",

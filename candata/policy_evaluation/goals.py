@@ -21,19 +21,6 @@ GOALS = {
 WORDS = "lift[:m[,s]], place:x,y (m), turn[:rad] or topple"
 
 
-def goal_named(name: str) -> Goal:
-    """Return the goal of a name.
-
-    Raises
-    ------
-    UnknownNameError
-        When there is none of it.
-    """
-    if name not in GOALS:
-        raise UnknownNameError("goal", name, GOALS)
-    return GOALS[name]
-
-
 def parsed_goal(text: str) -> Goal:
     """Return the goal that a text means: `lift`, `lift:0.05,1`, `place:0.1,0`, `turn:0.5` or `topple`.
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from candata.policy_evaluation.filter_results import interval_text, lift_text
+from candata.policy_evaluation.results import Interval
 from candata.schema.record import Record
-from candata.training.results import Success
 
 
 class RefinedSuccess(Record):
     """Success in a withheld world before and after refinement; `lift` has a 95 % interval by bootstrap over starts."""
 
     changed: int
-    before: Success
-    after: Success
-    lift: float
-    lift_low: float
-    lift_high: float
+    before: Interval
+    after: Interval
+    lift: Interval
 
 
 class RefineResult(Record):
@@ -50,7 +48,7 @@ def refine_text(result: RefineResult) -> str:
         lines += ["", heads]
         lines += [
             f"{name:{width}}  {interval_text(each.before)}  {interval_text(each.after)}  "
-            f"{lift_text(each.lift, each.lift_low, each.lift_high)}  {each.changed} of {result.starts}"
+            f"{lift_text(each.lift)}  {each.changed} of {result.starts}"
             for name, each in result.withheld.items()
         ]
     return "\n".join(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,14 +71,11 @@ def _withheld(
     rng = np.random.default_rng([seed, 3])
     results = {}
     for k, (name, each) in enumerate(refined.items(), start=1):
-        lift, low, high = paired_lift(success[:, k] - success[:, 0], rng)
         results[name] = RefinedSuccess(
             changed=int(each.changed.sum()),
             before=success_share(success[:, 0].sum(), len(success)),
             after=success_share(success[:, k].sum(), len(success)),
-            lift=lift,
-            lift_low=low,
-            lift_high=high,
+            lift=paired_lift(success[:, k] - success[:, 0], rng),
         )
     return results
 
@@ -94,9 +92,7 @@ def refined_network(bench: ChunkBench, commands: Array) -> Network:
         As `read_network` and `distilled_last_layer`.
     """
     world = bench.simulators[-1]
-    if not isinstance(world.forecaster, Simulator):
-        raise TypeError("the simulators of a bench simulate")
-    rows = chunk_rows(world.starts, commands, world.forecaster)
+    rows = chunk_rows(world.starts, commands, cast(Simulator, world.forecaster))
     policy = bench.request.policy
     if policy.endswith(SUFFIX):
         return distilled_last_layer(read_network(Path(policy))[0], rows)

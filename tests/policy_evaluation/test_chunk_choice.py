@@ -147,7 +147,7 @@ def test_motions_of_any_length_become_chunks_of_one():
 def test_the_interval_of_a_gain_holds_no_gain_where_there_is_none(rng):
     gains = rng.choice([-1.0, 1.0], 60)
     gains -= gains.mean()
-    mean, low, high = paired_lift(gains, rng)
-    assert low < mean < high
-    assert low < 0 < high
-    assert paired_lift(gains * 0.1 + 0.5, rng)[1] > 0.4
+    lift = paired_lift(gains, rng)
+    assert lift.low < lift.value < lift.high
+    assert lift.low < 0 < lift.high
+    assert paired_lift(gains * 0.1 + 0.5, rng).low > 0.4

@@ -17,7 +17,7 @@ from candata.errors import DataError, UsageError
 from candata.loaders import windows
 from candata.policies import Goal, Observation, read_motions, read_step_policy
 from candata.policies._network import Network
-from candata.policy_evaluation.candidates import policy_chunks
+from candata.policy_evaluation.candidates import AS_PLANNED, Candidates, policy_chunks
 from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
 from candata.policy_evaluation.chunk_starts import chunk_starts
 from candata.policy_evaluation.chunk_worlds import FAMILIAR_SDS, ChunkWorld, simulated_world
@@ -28,7 +28,8 @@ from candata.policy_evaluation.distillation import (
     distilled_network,
     write_network,
 )
-from candata.policy_evaluation.goals import goal_named
+from candata.policy_evaluation.filtering import choose_chunks, withheld_result
+from candata.policy_evaluation.goals import parsed_goal
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.policy_card import PolicyCard
@@ -78,14 +79,14 @@ def test_the_recorded_commands_are_forecast_as_they_went(starts, nominal, data, 
     recorded = next(iter(open_dataset(data).episodes())).arrays["object_pose"][present : present + ROWS + 1]
     assert np.ptp(recorded[:, 2]) > 0.02  # else staying would do
     assert np.abs(forecast.poses[0, 0, 0, :, :3] - recorded[:, :3]).max() < 0.01
-    assert forecast.succeeds(goal_named("lift"), scene).all()
-    assert forecast.cost(goal_named("lift")).reached.all()
+    assert forecast.succeeds(parsed_goal("lift"), scene).all()
+    assert forecast.cost(parsed_goal("lift")).reached.all()
 
 
 def test_other_commands_and_other_worlds_end_otherwise(starts, nominal, scene):
     recorded = starts.recorded(ROWS)
     still = np.repeat(starts.previous[:, None], ROWS, axis=1)
-    commands, goal = np.stack([recorded, still], axis=1), goal_named("lift")
+    commands, goal = np.stack([recorded, still], axis=1), parsed_goal("lift")
     assert nominal.forecast(commands, (0,)).succeeds(goal, scene).tolist() == [[True, False]] * len(starts)
     slippery = simulated_world("slippery", starts, ROWS, None, SLIPPERY)
     assert not slippery.forecast(commands, (0,)).succeeds(goal, scene).any()
@@ -99,6 +100,20 @@ def test_a_start_reads_nothing_of_the_recording_behind_it(starts):
     assert not batch["history/action"][:, -1].any()
     assert batch["history/action"][:, -2].any()
     assert not batch["future_pad"].any()
+
+
+def test_a_chooser_that_knows_the_world_gains_on_random_choice(starts, nominal, scene):
+    recorded, goal = starts.recorded(ROWS), parsed_goal("lift")
+    still = np.repeat(starts.previous[:, None], ROWS, axis=1)
+    commands = np.stack([still, still, still, recorded], axis=1)
+    candidates = Candidates((AS_PLANNED, "1", "2", "3"), commands, np.ones(commands.shape[:2], bool))
+    choosers = [choose_chunks(nominal, commands, candidates.playable, goal, 0)]
+    result = withheld_result(choosers, candidates, goal, scene, nominal, 0)
+    assert result.planned.value == 0 < result.random.value < 0.6
+    assert result.choosers["nominal"].after.value == 1
+    assert result.choosers["nominal"].lift.low > 0.3
+    assert result.choosers["nominal"].abstained.value == 0
+    assert result.success["nominal"] == (True,) * len(starts)
 
 
 def test_a_chunk_beyond_the_horizon_is_refused(nominal, starts):
@@ -232,10 +247,11 @@ def test_filter_prints_who_gained_what_and_writes_playable_chunks(trained, data,
         assert "abstained" in again.out
 
 
-def test_refine_writes_a_policy_that_generate_sim_plays(trained, data, tmp_path):
+def test_refine_writes_a_policy_that_generate_sim_plays(trained, data, scene, rng, tmp_path):
     out, played = tmp_path / "refined.safetensors", tmp_path / "played"
+    policy = write_network(tmp_path / "policy.safetensors", network(scene, rng))
     words = ("--candidates", 3, "--rounds", 1, "--samples", 1, "--chunk", 0.5, "--threads", 1, "--out", out)
-    made = run("policy", "refine", trained, data, *words)
+    made = run("policy", "refine", trained, data, "--policy", policy, *words)
     assert made.code == 0, made.err
     assert "refined the chunk of 0.5 s" in made.out
     sim = ("--scene", "gripper_tabletop", "--episodes", 1, "--duration-s", 0.4, "--jobs", 1, "--out", played)
@@ -247,6 +263,12 @@ def test_a_chunk_longer_than_the_model_can_roll_is_refused(trained, data):
     assert refused.code == 2
     assert "longer than run can roll" in refused.err
     assert "at most 1.6 s" in refused.err
+
+
+def test_a_file_of_another_kind_is_refused_before_anything_is_computed(tmp_path):
+    refused = run("policy", "refine", "no run", "no data", "--out", tmp_path / "policy.onnx")
+    assert refused.code == 2
+    assert "a .safetensors file" in refused.err
 
 
 def test_a_model_that_does_not_read_the_plan_is_refused(data, tmp_path):
