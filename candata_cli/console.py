@@ -23,6 +23,7 @@ EXIT_STOPPED = 130
 EVERY_S = 30.0
 GAP = "Check the diagnosis itself, and what it found."
 SCENE = "Look at scenes, and write repaired ones: a model and its roles."
+POLICY = "Judge policies before they meet the robot: evaluate, filter, refine."
 RAY = "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT."
 
 

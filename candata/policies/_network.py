@@ -86,13 +86,17 @@ class Network:
 
         return step
 
-    def _forward(self, values: Array) -> Array:
-        """Return the output of one input."""
+    def hidden(self, values: Array) -> Array:
+        """Return what the last layer takes `(..., O)` of inputs `(..., I)`."""
         values = (values - self.input_mean) / self.input_scale
         for weight, bias in self.layers[:-1]:
-            values = _ACTIVATIONS[self.card.activation](weight @ values + bias)
+            values = _ACTIVATIONS[self.card.activation](values @ weight.T + bias)
+        return values
+
+    def _forward(self, values: Array) -> Array:
+        """Return the output of one input."""
         weight, bias = self.layers[-1]
-        return (weight @ values + bias) * self.output_scale + self.output_mean
+        return (weight @ self.hidden(values) + bias) * self.output_scale + self.output_mean
 
     def _refuse_other(self, scene: Scene) -> None:
         """Refuse a scene of another digest, or of other sizes."""

@@ -68,10 +68,20 @@ class ClosedLoop:
         Control steps a second.
     limits : (A, 2) float64
         Smallest and largest command; what a policy gives beyond is cut.
+    step_limit_s : float
+        Longest time that a policy may take for one control step [s].
     """
 
-    def __init__(self, pilots: Sequence[Pilot | None], settle: int, rate_hz: float, limits: Array) -> None:
+    def __init__(
+        self,
+        pilots: Sequence[Pilot | None],
+        settle: int,
+        rate_hz: float,
+        limits: Array,
+        step_limit_s: float = STEP_LIMIT_S,
+    ) -> None:
         self._pilots, self._settle, self._rate_hz, self._limits = pilots, settle, rate_hz, limits
+        self._step_limit_s = step_limit_s
         self._seen: list[dict[str, Array]] = [{} for _ in pilots]
         self._steps: dict[int, Step] = {}
         self._errors: dict[str, DataError] = {}
@@ -120,9 +130,9 @@ class ClosedLoop:
     def _given(self, i: int, pilot: Pilot, observation: Observation) -> Array:
         """Return the commands that a policy gives, which begins with its first row."""
         if observation.row == 0:
-            with time_limit():
+            with time_limit(self._step_limit_s):
                 self._steps[i] = pilot.begin()
-        return _checked_commands(self._steps[i], pilot.episode, observation)
+        return _checked_commands(self._steps[i], pilot.episode, observation, self._step_limit_s)
 
     def _sensed(self, i: int, pilot: Pilot, number: int, readings: dict[str, Array]) -> dict[str, Array]:
         """Return the readings of a row as the episode will store them.
@@ -137,10 +147,10 @@ class ClosedLoop:
         return {name: value[number] for name, value in pilot.sense(so_far).items() if name in readings}
 
 
-def _checked_commands(step: Step, episode: str, observation: Observation) -> Array:
+def _checked_commands(step: Step, episode: str, observation: Observation, limit_s: float) -> Array:
     """Return what a policy gives, once it is known to be commands."""
     try:
-        with time_limit():
+        with time_limit(limit_s):
             given = step(observation)
         commands = np.asarray(given)
         commands = commands if np.iscomplexobj(commands) else commands.astype(np.float64)
@@ -171,17 +181,17 @@ def _failed_step(problem: str, expected: str, found: str, episode: str, observat
 
 
 @contextmanager
-def time_limit() -> Iterator[None]:
-    """Raise TimeoutError in the block after `STEP_LIMIT_S`; without effect outside of a process's main thread."""
+def time_limit(limit_s: float) -> Iterator[None]:
+    """Raise TimeoutError in the block after some seconds; without effect outside of a process's main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def stop(_number: int, _frame: FrameType | None) -> None:
-        raise TimeoutError(f"no answer within {STEP_LIMIT_S:g} s")
+        raise TimeoutError(f"no answer within {limit_s:g} s")
 
     earlier = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, STEP_LIMIT_S)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
     try:
         yield
     finally:

@@ -130,8 +130,8 @@ def evaluate(
         evaluated_runs.refuse_seen(each, seen[each.name] or (), settings.group)
     evaluated_runs.check_scaled(evaluated, dataset, ids)
     stage("reading the dataset")
-    held_out = _windows(dataset, split, evaluated, settings)
-    entrants = {each.name: _model_entrant(each, held_out, settings) for each in evaluated}
+    held_out = held_out_windows(dataset, split, evaluated, settings)
+    entrants = {each.name: model_entrant(each, held_out, settings) for each in evaluated}
     simulators = _simulators(held_out, settings)
     own_execute = settings.execute or min(EXECUTE, held_out.horizon)
     execute = max((each.execute for each in evaluated), default=own_execute)
@@ -204,7 +204,7 @@ def _check(settings: EvaluationSettings, evaluated: Sequence[EvaluatedRun]) -> N
     jobs.check_device(settings.device)
 
 
-def _windows(
+def held_out_windows(
     dataset: Dataset, split: Split, evaluated: Sequence[EvaluatedRun], settings: EvaluationSettings
 ) -> Windows:
     """Return a window at every step of the models, with all that they and the scores read."""
@@ -222,7 +222,7 @@ def _windows(
     return windows(dataset, pad="both", step=int(full_windows.stride[full_windows.owner].min()), **options)
 
 
-def _model_entrant(evaluated: EvaluatedRun, held_out: Windows, settings: EvaluationSettings) -> Entrant:
+def model_entrant(evaluated: EvaluatedRun, held_out: Windows, settings: EvaluationSettings) -> Entrant:
     """Return a run as it takes part: its windows hold what it reads alone, over its own history and horizon."""
     run, file = evaluated.run, held_out.cache.file
     shapes = {name: shape for name, shape in file.shapes.items() if name in run.channels}

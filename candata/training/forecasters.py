@@ -18,6 +18,9 @@ Batch = Mapping[str, NDArray]
 
 #: Entry of a batch whose joints are those that a closed loop feeds, not the recorded ones: `(B,) bool`.
 JOINTS_FED = "joints_fed"
+#: Entry of a batch whose planned commands are not the recorded ones: `(B, R, A) float64` at the episodes' own rate, the
+#: first held from the present on; the last holds on.
+COMMANDS_PLANNED = "planned_rows/action"
 #: Windows that a model forecasts at once.
 _AT_ONCE = 256
 

@@ -15,7 +15,7 @@ from candata.scenes.traits import is_toss
 from candata.schema.effect import EffectSetting
 from candata.simulate import Observer, rollout
 from candata.training.episode_scenes import EpisodeScenes, episode_scenes
-from candata.training.forecasters import Batch, ForecastArrays
+from candata.training.forecasters import COMMANDS_PLANNED, Batch, ForecastArrays
 from candata.training.rollout import Course, Loop, at_rows
 from candata.training.window_starts import EARLIER_S, commands_from, window_starts
 
@@ -89,7 +89,8 @@ class Simulator:
     def simulate(self, batch: Batch) -> SimulatedArrays:
         """Return the simulated poses of a batch of the windows, and the contacts.
 
-        The future is simulated up to the last step that the episode holds.
+        Planned commands are the recorded ones, or those that the batch has as `COMMANDS_PLANNED`. The future is
+        simulated up to the last step that the episode holds.
         """
         future = ~np.asarray(batch["future_pad"])
         steps = np.where(future.any(1), future.shape[1] - future[:, ::-1].argmax(1), 0)
@@ -131,11 +132,11 @@ class Simulator:
         earlier = round(EARLIER_S * scene.file.rate_hz)
         played = rollout(
             scene,
-            commands_from(windows, episode, start.first_row, count),
+            _commands(windows, batch, start.first_row, start.lead, count),
             start.qpos,
             start.qvel,
             [()] * len(steps),
-            observer=None if is_toss(scene) else _observer(scene, start.followed, count),
+            observer=None if is_toss(scene) else past_observer(scene, start.followed, count),
             earlier_commands=commands_from(windows, episode, start.first_row - earlier, earlier),
             threads=self.threads,
         )
@@ -182,7 +183,20 @@ def simulator(
     return Simulator(windows, episode_scenes(windows, scene, effects), summary or usual, threads)
 
 
-def _observer(scene: Scene, followed: dict[str, Array], count: int) -> Observer:
+def _commands(
+    windows: Windows, batch: Batch, first_row: NDArray[np.int64], lead: NDArray[np.int64], count: int
+) -> Array:
+    """Return commands `(n, count, A)` from the windows' starts on: recorded ones, from the present on planned."""
+    recorded = commands_from(windows, batch["episode"], first_row, count)
+    if COMMANDS_PLANNED not in batch:
+        return recorded
+    planned = np.asarray(batch[COMMANDS_PLANNED], np.float64)
+    row = np.arange(count) - lead[:, None]
+    window = np.arange(len(planned))[:, None]
+    return np.where(row[..., None] < 0, recorded, planned[window, row.clip(0, planned.shape[1] - 1)])
+
+
+def past_observer(scene: Scene, followed: dict[str, Array], count: int) -> Observer:
     """Return the observer of windows over `count` rows: it follows nothing behind the lead."""
     recorded = {
         name: np.concatenate([values, np.full((len(values), count - values.shape[1], values.shape[2]), np.nan)], axis=1)

@@ -32,6 +32,7 @@ LAYERS = (
     ("checks",),
     ("repair",),
     ("experiment",),
+    ("policy_evaluation",),
     ("reports",),
     ("testing",),
 )

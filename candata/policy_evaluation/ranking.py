@@ -1,0 +1,150 @@
+"""How well a world ranks policies: predicted success beside what was seen, from the same starts."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest, rankdata
+
+from candata.policy_evaluation.results import Interval, WorldRanking
+from candata.statistics import resamples
+
+Array = NDArray[np.float64]
+#: Bootstrap samples of the starts. Chosen: the ends of a 95 % interval move by less than its width over 20.
+DRAWS = 1000
+#: Confidence of all intervals.
+CONFIDENCE = 0.95
+
+
+def wilson(count: int, total: int) -> Interval:
+    """Return a share with its Wilson interval; of no trials, an interval from 0 to 1 around NaN.
+
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference", JASA 22 (1927).
+    """
+    if total == 0:
+        return Interval(value=float("nan"), low=0.0, high=1.0)
+    low, high = binomtest(count, total).proportion_ci(CONFIDENCE, "wilson")
+    return Interval(value=count / total, low=float(low), high=float(high))
+
+
+def spearman(predicted: Array, seen_success: Array) -> Array:
+    """Return Spearman's rank correlation over the last axis `(..., P)`; NaN where either is constant.
+
+    Equal values share their mean rank. Source: C. Spearman, "The proof and measurement of association between two
+    things", American Journal of Psychology 15 (1904).
+    """
+    ranks = [rankdata(values, axis=-1) for values in (predicted, seen_success)]
+    a, b = (rank - rank.mean(-1, keepdims=True) for rank in ranks)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((a * b).sum(-1) / np.sqrt((a**2).sum(-1) * (b**2).sum(-1)))
+
+
+def mean_rank_violation(predicted: Array, seen_success: Array) -> float:
+    """Return the mean maximum rank violation (MMRV) of predicted success `(P,)`; 0 is best.
+
+    For each policy, the largest difference in seen success to a policy that the prediction puts on the wrong side of
+    it; then the mean. Source: X. Li et al., "Evaluating Real-World Robot Manipulation Policies in Simulation"
+    (SIMPLER), CoRL 2024, equation 1.
+    """
+    is_wrong = (predicted[:, None] < predicted) != (seen_success[:, None] < seen_success)
+    return float((np.abs(seen_success[:, None] - seen_success) * is_wrong).max(1).mean())
+
+
+def rates(success: Array, index: NDArray[np.int64] | None = None) -> Array:
+    """Return the success of each policy over the starts `(P, n)` that are not NaN; NaN without any.
+
+    Parameters
+    ----------
+    success : (P, n) float64
+        1, 0, or NaN where nothing is known.
+    index : (draws, n) int64, optional
+        Resampled starts: `(draws, P)` is returned then.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # the mean of nothing is NaN, as said
+        if index is None:
+            return np.asarray(np.nanmean(success, axis=-1))
+        return np.asarray(np.nanmean(success[:, index], axis=-1).T)
+
+
+def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) -> tuple[WorldRanking, Array]:
+    """Return how well a world predicts policies, and its resampled rank correlations `(DRAWS,)`.
+
+    Policies without a seen start are left out; a predicted rate is that over the starts which were seen.
+
+    Parameters
+    ----------
+    world : str
+        Its name.
+    predicted, seen : (P, n) float64
+        Success of each policy from each start, 1 or 0; `seen` is NaN where nothing was.
+    seed : int
+        Of the bootstrap: worlds of one evaluation share their draws.
+    """
+    known_rows = np.isfinite(seen_success).any(1)
+    paired_success = np.where(np.isfinite(seen_success), predicted, np.nan)[known_rows]
+    real = seen_success[known_rows]
+    rate, truth = rates(paired_success), rates(real)
+    index = resamples(np.random.default_rng(seed), seen_success.shape[1], DRAWS)
+    drawn_values = spearman(rates(paired_success, index), rates(real, index))
+    counts = [(int(np.nansum(row)), int(np.isfinite(row).sum())) for row in paired_success]
+    intervals = [wilson(*count) for count in counts]
+    covered_flags = [entry.low <= value <= entry.high for entry, value in zip(intervals, truth, strict=True)]
+    return WorldRanking(
+        world=world,
+        policies=int(known_rows.sum()),
+        pairs=int(np.isfinite(paired_success).sum()),
+        spearman=_interval(float(spearman(rate, truth)), drawn_values),
+        mmrv=mean_rank_violation(rate, truth),
+        mean_error=float(np.abs(rate - truth).mean()),
+        bias=float((rate - truth).mean()),
+        covered=float(np.mean(covered_flags)),
+        agreement=float(np.nanmean(np.where(np.isfinite(paired_success), paired_success == real, np.nan))),
+    ), drawn_values
+
+
+def _interval(value: float, drawn_values: Array) -> Interval:
+    """Return a value with the central interval of its resamples; NaN ends where none has a value."""
+    finite = drawn_values[np.isfinite(drawn_values)]
+    if not len(finite):
+        return Interval(value=value, low=float("nan"), high=float("nan"))
+    tail = 100 * (1 - CONFIDENCE) / 2
+    low, high = np.percentile(finite, [tail, 100 - tail])
+    return Interval(value=value, low=float(low), high=float(high))
+
+
+def lead(best_draws: Array, other_draws: Array, value: float) -> Interval:
+    """Return by how much a rank correlation is above another, with the interval of paired resamples."""
+    return _interval(value, best_draws - other_draws)
+
+
+def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
+    """Return the world that predicts policies best: highest rank correlation, then least MMRV and mean error.
+
+    None where no world has a rank correlation.
+    """
+    known_rows = [entry for entry in rankings if np.isfinite(entry.spearman.value)]
+    if not known_rows:
+        return None
+    return max(known_rows, key=lambda entry: (entry.spearman.value, -entry.mmrv, -entry.mean_error))
+
+
+def headline(
+    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: str | None, worlds: Sequence[str]
+) -> str:
+    """Return the first line: which world predicts policies best, and by how much."""
+    if seen_success is None:
+        return f"No world can be judged: nothing was seen of these policies. Predicted in {', '.join(worlds)}"
+    if top_ranking is None:
+        return "No world can be ranked: all policies succeed alike"
+    words = f"{top_ranking.world} predicts policies best: rank correlation {top_ranking.spearman.value:.2f}"
+    if len(worlds) == 1:
+        return f"{words}; no other world was compared"
+    if margin is None:
+        return f"{words}; no world is ahead of the nominal simulator"
+    if not np.isfinite(margin.value):
+        return f"{words}; the nominal simulator ranks none, as all its policies succeed alike"
+    return f"{words}, {margin.value:.2f} above the nominal simulator (95 %: {margin.low:.2f} to {margin.high:.2f})"
