@@ -54,21 +54,30 @@ class Plan:
     entries: tuple[Entry, ...]
 
     def chosen(self, words: Iterable[str]) -> Plan:
-        """Return the plan of the entries that each of the words is a part of, with the cells they come from.
+        """Return the plan of the entries that the words choose, with the cells they come from.
+
+        Words of one kind (columns, models, regimes, origins, seeds, numbers of real episodes) are alternatives; words
+        of several kinds must all hold. An entry without training is not chosen by model, regime, origin or seed, and
+        one of no real episodes not by their number: both stay.
 
         Raises
         ------
         UnknownNameError
             When a word is a part of no entry.
         """
-        entries = self.entries
-        known_words = {word for entry in self.entries for word in words_of(entry)}
+        kinds = {word: kind for entry in reversed(self.entries) for kind, word in _words_of(entry).items()}
+        asked_words: dict[str, set[str]] = {}
         for word in words:
-            if word not in known_words:
-                raise UnknownNameError("part of the experiment", word, known_words)
-            # Rows without training stand beside all models, but not beside those of another column.
-            is_shared = word not in self.file.columns
-            entries = tuple(e for e in entries if word in words_of(e) or (is_shared and e.model is None))
+            if word not in kinds:
+                raise UnknownNameError("part of the experiment", word, kinds)
+            asked_words.setdefault(kinds[word], set()).add(word)
+        if "real_count" in asked_words:
+            asked_words["real_count"].add(_count_word(0))
+        entries = tuple(
+            entry
+            for entry in self.entries
+            if all(word in asked_words.get(kind, {word}) for kind, word in _words_of(entry).items())
+        )
         needed = self.ancestors(entry.cell for entry in entries)
         return Plan(self.file, {name: cell for name, cell in self.cells.items() if name in needed}, entries)
 
@@ -83,16 +92,13 @@ class Plan:
         return needed
 
 
-def words_of(entry: Entry) -> set[str]:
-    """Return the words by which `--only` chooses an entry: column, model, regime, origin and seed."""
-    words = (
-        entry.column,
-        entry.model,
-        entry.regime,
-        entry.origin,
-        None if entry.seed is None else f"seed-{entry.seed}",
-    )
-    return {word for word in words if word is not None}
+def _words_of(entry: Entry) -> dict[str, str]:
+    """Return the words that choose an entry, by kind; one without training has no model, regime, origin or seed."""
+    words = {"column": entry.column, "real_count": _count_word(entry.count)}
+    if entry.model is None:
+        return words
+    trained = {"model": entry.model, "regime": str(entry.regime), "origin": entry.origin, "seed": f"seed-{entry.seed}"}
+    return words | trained
 
 
 def plan_cells(file: ExperimentFile) -> Plan:
