@@ -11,14 +11,14 @@ from typing import Any
 
 from candata.datasets import Dataset, open_dataset
 from candata.experiment.cells import Cell, cell_folder, digests, read_cell
-from candata.experiment.config import Generation, SealedWorld
+from candata.experiment.config import SealedWorld
 from candata.experiment.plan import Plan
-from candata.experiment.sources import set_options
 from candata.experiment.work import dataset_of, train_request, training_settings
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.simulate.forecast import Forecast, forecast
 from candata.simulate.generate import generate
+from candata.simulate.recipe import SetRecipe
 from candata.training.checkpoint import LAST_FILE
 from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.jobs import prepare
@@ -117,8 +117,8 @@ def _as_generation(cell: Cell) -> tuple[str, int, int, Any]:
     """Return scene, episodes, seed and options of a set; a sealed world takes as long as its nominal scene."""
     record = parse_json(cell.places["record"])
     if "seal" not in cell.places:
-        generation = Generation.model_validate(record)
-        return generation.scene, generation.episodes, generation.seed, set_options(generation)
+        recipe = SetRecipe.model_validate(record)
+        return recipe.scene, recipe.episodes, recipe.seed, recipe.options()
     world = SealedWorld.model_validate(record)
     options = {"objects": world.objects, "policies": world.policies, "duration_s": world.duration_s}
     return world.scene, world.train + world.test, world.seed, options

@@ -11,11 +11,12 @@ from candata.datasets import Dataset
 from candata.errors import UnknownNameError, UsageError
 from candata.experiment import standing
 from candata.experiment.cells import Cell, content_digest
-from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
+from candata.experiment.config import FILES, Column, ExperimentFile, ModelEntry, Origin, Regime, SealedWorld
 from candata.models import model as find_model
 from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.contract import SCENES
+from candata.simulate.recipe import SetRecipe
 from candata.training.results import REPAIRED
 from candata.training.settings import FINE_TUNE_SHARE
 
@@ -245,16 +246,16 @@ class _Planner:
         scene = self._scene(column)
         return self.add(Cell("train", cell_name, settings | self._scene_settings(scene), inputs, _scene_place(scene)))
 
-    def _generation_cell(self, name: str, generation: Generation) -> Cell:
+    def _simulated_cell(self, name: str, recipe: SetRecipe) -> Cell:
         """Return the cell of a simulated set."""
-        return Cell("data", name, self._portable(generation), places={"record": generation.model_dump_json()})
+        return Cell("data", name, self._portable(recipe), places={"record": recipe.model_dump_json()})
 
     def _sealed_cell(self, source_name: str, sealed: SealedWorld) -> Cell:
         """Return the cell of a world that stands in for the real one; worlds of one name share their seal."""
         places = {"record": sealed.model_dump_json(), "seal": sealed.world or source_name}
         return Cell("data", f"data/{source_name}", self._portable(sealed), places=places)
 
-    def _portable(self, record: Generation | SealedWorld) -> dict[str, Any]:
+    def _portable(self, record: SetRecipe | SealedWorld) -> dict[str, Any]:
         """Return the settings of a set without the places of its files, and the digests of what these hold."""
         settings = record.model_dump(mode="json")
         files = {name: self.digest(settings.pop(name)) for name in FILES if settings.get(name) is not None}
@@ -271,16 +272,16 @@ class _Planner:
 
     def simulated(self, source_name: str, effects: str | None, count: int | None) -> str:
         """Return the name of a simulated or standing set to pre-train on, of the repaired simulator with `effects`."""
-        generation = self.file.data[source_name].generate
-        if generation is None:
+        recipe = self.file.data[source_name].generate
+        if recipe is None:
             if effects is not None:
                 raise UsageError(
                     f"{source_name} stands and cannot be simulated with the repair", expected="recipe or generate"
                 )
             return self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
         if effects is None:
-            return self.add(self._generation_cell(f"data/{source_name}", generation))
-        cell = self._generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
+            return self.add(self._simulated_cell(f"data/{source_name}", recipe))
+        cell = self._simulated_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", recipe)
         return self.add(replace(cell, inputs={"effects": effects}))
 
     def part(self, source_name: str, word: str) -> str:
