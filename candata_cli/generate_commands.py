@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from candata_cli.recipe_option import use_recipe
 if TYPE_CHECKING:
     from candata.errors import UsageError
     from candata.simulate.generate import Withheld
+    from candata.simulate.recipe import SetRecipe
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
@@ -148,26 +149,7 @@ def generate_sim(
     if out is not None:
         sealed = seal or out.with_name(f"{out.name}.seal.json")
         check_output(out, "dataset")
-    from candata.simulate.recipe import SetRecipe, check_count
-    from candata.simulate.wanted import parsed_outcomes
-
-    check_count(episodes, seed, jobs)
-    options_typed = {
-        "scene": _scene(scene, randomise, withhold_from, effects),
-        "episodes": episodes,
-        "seed": seed,
-        "objects": _objects(objects),
-        "effects": _place(effects),
-        "randomise": _place(randomise),
-        "policies": tuple(policies.split(",")) if policies else (),
-        "policy_file": _place(policy_file),
-        "duration_s": duration_s,
-        "noise": noise,
-        "noise_from": _place(noise_from),
-        "taxels": taxels,
-        "outcomes": None if outcomes is None else parsed_outcomes(outcomes),
-    }
-    asked_set = SetRecipe.parse(options_typed, "generate-sim")
+    asked_set = _asked_set(context.params)
     scene_name, options = asked_set.scene, asked_set.options() | {"step_policy": policy_module}
     part = _shard(shard)
     if out is None or dry_run:
@@ -207,6 +189,23 @@ def _shard(text: str) -> tuple[int, int]:
     if not (mark and number.isdecimal() and count.isdecimal()):
         raise UsageError("--shard cannot be read", expected="such as 1/2", found=repr(text))
     return int(number), int(count)
+
+
+def _asked_set(typed: Mapping[str, Any]) -> SetRecipe:
+    """Return the set that the options ask for."""
+    from candata.simulate.recipe import SetRecipe, check_count
+    from candata.simulate.wanted import parsed_outcomes
+
+    check_count(typed["episodes"], typed["seed"], typed["jobs"])
+    values = {name: typed[name] for name in SetRecipe.model_fields}
+    values |= {
+        "scene": _scene(*(typed[name] for name in ("scene", "randomise", "withhold_from", "effects"))),
+        "objects": _objects(typed["objects"]),
+        "policies": tuple(typed["policies"].split(",")) if typed["policies"] else (),
+        "outcomes": None if typed["outcomes"] is None else parsed_outcomes(typed["outcomes"]),
+    }
+    texts = {name: str(value) for name, value in values.items() if isinstance(value, Path)}
+    return SetRecipe.parse(values | texts, "generate-sim")
 
 
 def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, salt: str | None) -> Withheld | None:
@@ -315,11 +314,6 @@ def _objects(text: str | None) -> tuple[str, ...]:
     if text is None:
         return ()
     return listed_objects(Path(text)) if text.endswith((".yaml", ".yml")) else console.words(text)
-
-
-def _place(path: Path | None) -> str | None:
-    """Return a path as text."""
-    return None if path is None else str(path)
 
 
 def _scene(scene: str | None, randomise: Path | None, withhold_from: Path | None, effects: Path | None) -> str:
