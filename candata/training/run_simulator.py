@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 from candata.errors import UsageError, Where
 from candata.loaders import MixedWindows, Windows
@@ -67,14 +68,14 @@ def stated(
 
 
 def simulated_feed(
-    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress
+    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress, folder: Path | None = None
 ) -> Windows | MixedWindows | SimulatedWindows:
-    """Return the windows with the forecasts of the run's simulator, where it has one."""
+    """Return the windows with the forecasts of the run's simulator, where it has one; kept in a folder."""
     facts = run.simulator
     if facts is None:
         return windows
     build = partial(simulator, scene=facts.scene, effects=facts.effects)
-    return simulated_windows(windows, build, simulating, first_share=processes.rank / processes.world)
+    return simulated_windows(windows, build, simulating, folder, first_share=processes.rank / processes.world)
 
 
 def trained_simulator(
