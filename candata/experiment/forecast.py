@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
-from candata.datasets.filtering import chosen_dataset
 from candata.experiment.cells import Cell, cell_folder, digests, read_cell
 from candata.experiment.config import SealedWorld
 from candata.experiment.plan import Plan
-from candata.experiment.sources import TRAINED_ON, part_ids
+from candata.experiment.sources import TRAINED_ON, copy_episodes, part_ids
 from candata.experiment.work import dataset_of, threads_of, train_request, training_settings
 from candata.loaders import windows
 from candata.models import model as find_model
@@ -310,7 +309,8 @@ def _trial_set(cell: Cell, trials: _Trials) -> Dataset:
             scene, _, seed, options = _as_generation(source)
             generate(root, scene, TRIAL_EPISODES, seed, workers=1, **options)
         else:
-            chosen_dataset(standing, standing.ids[:TRIAL_EPISODES], root, {})
+            cloud_of = trials.plan.file.data[source.name.split("/")[1]].cloud_of
+            copy_episodes(root, standing, standing.ids[:TRIAL_EPISODES], {}, cloud_of)
         trials.datasets[key] = open_dataset(root)
     return trials.datasets[key]
 

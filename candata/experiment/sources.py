@@ -222,17 +222,32 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: 
         When there are fewer training episodes than are asked for, or none are left.
     """
     if not (root / DATASET).exists():
-        ids, details = part_ids(dataset, settings), {"part": settings["part"]}
-        if cloud_of is None:
-            chosen_dataset(dataset, ids, root, details)
-        else:
-            _copy_with_cloud(dataset, ids, root, details, cloud_of)
+        copy_episodes(root, dataset, part_ids(dataset, settings), {"part": settings["part"]}, cloud_of)
     return _with_split(open_dataset(root), {"test": 1.0} if settings["part"] == "test" else TRAINED_ON)
 
 
-def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: dict[str, Any], scene: str) -> None:
-    """Write a copy of some episodes whose object has the surface of a scene's object as point cloud."""
-    points = surface_cloud(load_scene(scene))
+def copy_episodes(
+    root: Path, dataset: Dataset, ids: Sequence[str], details: dict[str, Any], cloud_of: str | None = None
+) -> None:
+    """Write a new dataset of some episodes.
+
+    Parameters
+    ----------
+    root : Path
+        Where it goes.
+    dataset : Dataset
+        Version that holds them.
+    ids : sequence of str
+        Episodes.
+    details : dict
+        Why these, for the lineage.
+    cloud_of : str, optional
+        As for `make_part`.
+    """
+    if cloud_of is None:
+        chosen_dataset(dataset, ids, root, details)
+        return
+    points = surface_cloud(load_scene(cloud_of))
     with new_dataset(root) as draft:
         cloud = put_cloud(draft, points)
         copies = (

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from candata.datasets import append, create_dataset
 from candata.experiment.config import read_experiment
 from candata.experiment.forecast import forecast_cells
 from candata.experiment.plan import plan_cells
+from candata.schema.manifest import Lineage
 from tests.experiment.conftest import TINY, standing_set
+from tests.training.conftest import gliding
 
 TINY_CONFIG = {"cloud": "none", "latent": 16, "temporal_width": 8, "widths": [8, 16], "groups": 8}
 CORRECTION = TINY | {"model": "sim_residual", "config": TINY_CONFIG}
@@ -51,3 +54,14 @@ def test_cells_of_one_digest_count_once_and_each_evaluation_by_its_test_episodes
     # By the default split one of ten episodes is for testing.
     first, second = (rows[f"evaluation/{name}/mlp/nominal/sim/train-0/seed-0"].hours for name in columns)
     assert 0 < second == pytest.approx(2 * first)
+
+
+def test_a_model_is_tried_with_the_points_that_its_set_will_have(forecast_of, tmp_path):
+    root = create_dataset(tmp_path / "bare", name="bare")
+    append(root, (gliding(f"bare-{k}", k) for k in range(10)), Lineage(operation="test"))
+    changes = {
+        "data": {"bare": {"path": "bare", "cloud_of": "cube_toss"}},
+        "columns": {"single": {"real": "bare"}},
+        "models": {"unet": TINY | {"config": TINY_CONFIG | {"cloud": "object"}}},
+    }
+    assert forecast_of(**changes, regimes=["real"])["train/single/unet/nominal/real/train-all/seed-0"].hours > 0
