@@ -235,8 +235,10 @@ def _rows_tried(cell: Cell, trials: _Trials) -> float:
 
 def _evaluation_s(paths: list[Path], dataset: Dataset, settings: EvaluationSettings) -> float:
     """Return the seconds an episode of an evaluation on the test episode of a trial set."""
+    import torch
+
     begin_s = time.perf_counter()
-    evaluation, _ = evaluate(paths, dataset, settings)
+    evaluation, _ = evaluate(paths, dataset, replace(settings, threads=torch.get_num_threads()))
     return (time.perf_counter() - begin_s) / evaluation.episodes
 
 
