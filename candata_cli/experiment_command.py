@@ -17,6 +17,7 @@ EXAMPLES = """\b
 Examples:
   candata experiment examples/paper/table1.yaml --scale 0.05 --dry-run
   candata experiment examples/paper/table1.yaml --scale 0.05 --out out/table1
+  candata experiment examples/paper/repair.yaml --only seed-0 --only train-10,train-30
 """
 
 
@@ -33,8 +34,13 @@ def experiment(
     jobs: Annotated[int, typer.Option("--jobs", min=1, metavar="J", help="Processes; runs go side by side.")] = 1,
     ray: Annotated[str | None, typer.Option("--ray", metavar="ADDRESS", help=console.RAY)] = None,
     only: Annotated[
-        str, typer.Option("--only", metavar="A,B", help="Rows of these models, columns, regimes, origins, seed-N.")
-    ] = "",
+        list[str] | None,
+        typer.Option(
+            "--only",
+            metavar="A,B",
+            help="Rows of these models, columns, regimes, origins, seed-N, train-N; repeatable.",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="List the cells with hours and disk; make nothing.")
     ] = False,
@@ -51,7 +57,7 @@ def experiment(
     from candata.experiment.config import read_experiment
     from candata.experiment.plan import plan_cells
 
-    plan = plan_cells(read_experiment(config, scale)).chosen(console.words(only))
+    plan = plan_cells(read_experiment(config, scale)).chosen(console.words(",".join(only or ())))
     if dry_run:
         from candata.experiment.forecast import forecast_cells
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,11 +17,8 @@ from candata_cli.recipe_option import use_recipe
 
 if TYPE_CHECKING:
     from candata.errors import UsageError
-    from candata.schema.effect import EffectsFile
-    from candata.schema.randomisation import RandomisationFile
-    from candata.schema.scene import Noise
     from candata.simulate.generate import Withheld
-    from candata.simulate.recipe import SetOptions
+    from candata.simulate.recipe import SetRecipe
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
@@ -152,9 +149,8 @@ def generate_sim(
     if out is not None:
         sealed = seal or out.with_name(f"{out.name}.seal.json")
         check_output(out, "dataset")
-    scene_name, options = _set_options(scene, objects, effects, randomise, withhold_from, policies, outcomes)
-    options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s}
-    options |= {"noise": _noise(noise, noise_from), "taxels": taxels}
+    asked_set = _asked_set(context.params)
+    scene_name, options = asked_set.scene, asked_set.options() | {"step_policy": policy_module}
     part = _shard(shard)
     if out is None or dry_run:
         from candata.simulate.forecast import forecast
@@ -195,45 +191,21 @@ def _shard(text: str) -> tuple[int, int]:
     return int(number), int(count)
 
 
-def _set_options(
-    scene: str | None,
-    objects: str | None,
-    effects: Path | None,
-    randomise: Path | None,
-    withhold_from: Path | None,
-    policies: str | None,
-    outcomes: str | None,
-) -> tuple[str, SetOptions]:
-    """Return the scene of a set, and what it is made with that is read from files and lists."""
-    from candata.effects import read_effects, read_randomisation
+def _asked_set(typed: Mapping[str, Any]) -> SetRecipe:
+    """Return the set that the options ask for."""
+    from candata.simulate.recipe import SetRecipe, check_count
     from candata.simulate.wanted import parsed_outcomes
 
-    effects_file = read_effects(effects) if effects else None
-    random_file = read_randomisation(randomise) if randomise else None
-    hidden_file = read_randomisation(withhold_from) if withhold_from else None
-    options: SetOptions = {
-        "objects": _objects(objects),
-        "effects": effects_file.effects if effects_file else (),
-        "randomisation": random_file.effects if random_file else (),
-        "together": random_file.together if random_file else None,
-        "disturbances": random_file.disturbances if random_file else None,
-        "policies": tuple(policies.split(",")) if policies else (),
-        "outcomes": parsed_outcomes(outcomes) if outcomes is not None else None,
+    check_count(typed["episodes"], typed["seed"], typed["jobs"])
+    values = {name: typed[name] for name in SetRecipe.model_fields}
+    values |= {
+        "scene": _scene(*(typed[name] for name in ("scene", "randomise", "withhold_from", "effects"))),
+        "objects": _objects(typed["objects"]),
+        "policies": tuple(typed["policies"].split(",")) if typed["policies"] else (),
+        "outcomes": None if typed["outcomes"] is None else parsed_outcomes(typed["outcomes"]),
     }
-    return _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)), options
-
-
-def _noise(is_added: bool, path: Path | None) -> bool | Noise:
-    """Return whether the scene's sensor noise is added, or the noise of a file in its place."""
-    from candata.errors import UsageError
-    from candata.schema.scene import Noise
-    from candata.schema.yaml_text import read_yaml
-
-    if path is None:
-        return is_added
-    if not is_added:
-        raise UsageError("--no-noise and --noise-from at once", fix="leave one of them out")
-    return Noise.parse(read_yaml(path, "the noise file"), path)
+    texts = {name: str(value) for name, value in values.items() if isinstance(value, Path)}
+    return SetRecipe.parse(values | texts, "generate-sim")
 
 
 def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, salt: str | None) -> Withheld | None:
@@ -344,14 +316,14 @@ def _objects(text: str | None) -> tuple[str, ...]:
     return listed_objects(Path(text)) if text.endswith((".yaml", ".yml")) else console.words(text)
 
 
-def _scene(scene: str | None, *files: tuple[EffectsFile | RandomisationFile | None, Path | None]) -> str:
+def _scene(scene: str | None, randomise: Path | None, withhold_from: Path | None, effects: Path | None) -> str:
     """Return the scene asked for, else the one of the file of effects that is given."""
-    from candata.effects import scene_of
+    from candata.effects import read_effects, read_randomisation, scene_of
     from candata.errors import UsageError
 
     if scene is not None:
         return scene
-    for file, path in files:
-        if file is not None and path is not None:
-            return scene_of(file, path)
+    for path, read in ((randomise, read_randomisation), (withhold_from, read_randomisation), (effects, read_effects)):
+        if path is not None:
+            return scene_of(read(path), path)
     raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")

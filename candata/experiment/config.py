@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from candata.errors import UnknownNameError, UsageError, Where
 from candata.gap.blind.outside import CAUSES
@@ -14,6 +14,7 @@ from candata.models import MODELS
 from candata.scenes.object_folder import listed_objects
 from candata.schema.record import Record
 from candata.schema.yaml_text import read_yaml
+from candata.simulate.recipe import SetRecipe, Words
 
 Regime = Literal["sim", "real", "real-finetune"]
 Origin = Literal["nominal", "repaired"]
@@ -26,35 +27,6 @@ LEAST_STEPS, LEAST_EPISODES, LEAST_REAL = 20, 12, 30
 
 #: Fields of a set that name files.
 FILES = ("effects", "randomise", "policy_file", "hidden", "noise_from")
-
-
-def _as_list(value: Any) -> Any:
-    """Return a word as a list of one."""
-    return [value] if isinstance(value, str) else value
-
-
-Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
-
-
-class Generation(Record):
-    """A set to simulate: the options of `candata generate-sim`, as a recipe holds them.
-
-    `objects` may be a file that lists them; `effects`, `randomise` and `noise_from` are files.
-    """
-
-    scene: str
-    episodes: Count
-    seed: int = Field(default=1, ge=0)
-    objects: Words = ()
-    effects: str | None = None
-    randomise: str | None = None
-    policies: Words = ()
-    policy_file: str | None = None
-    duration_s: float = Field(default=3.2, gt=0)
-    noise: bool = True
-    noise_from: str | None = None
-    taxels: bool = False
-    outcomes: dict[str, float] | None = None
 
 
 class SealedWorld(Record):
@@ -99,7 +71,7 @@ class Source(Record):
     split: str | None = None
     cloud_of: str | None = None
     recipe: str | None = None
-    generate: Generation | None = None
+    generate: SetRecipe | None = None
     sealed: SealedWorld | None = None
 
     @model_validator(mode="after")
@@ -269,8 +241,7 @@ def _located(source: Source, folder: Path) -> Source:
     if source.generate is not None:
         return Source(generate=_with_paths(source.generate, folder))
     file = Path(_beside(str(source.recipe), folder))
-    generation = Generation.parse(read_yaml(file, "the recipe"), file)
-    return Source(generate=_with_paths(generation, file.parent))
+    return Source(generate=_with_paths(SetRecipe.parse(read_yaml(file, "the recipe"), file), file.parent))
 
 
 def _with_paths(record: Any, folder: Path) -> Any:

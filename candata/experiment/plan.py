@@ -11,11 +11,12 @@ from candata.datasets import Dataset
 from candata.errors import UnknownNameError, UsageError
 from candata.experiment import standing
 from candata.experiment.cells import Cell, content_digest
-from candata.experiment.config import FILES, Column, ExperimentFile, Generation, ModelEntry, Origin, Regime, SealedWorld
+from candata.experiment.config import FILES, Column, ExperimentFile, ModelEntry, Origin, Regime, SealedWorld
 from candata.models import model as find_model
 from candata.scenes import load_scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.contract import SCENES
+from candata.simulate.recipe import SetRecipe
 from candata.training.results import REPAIRED
 from candata.training.settings import FINE_TUNE_SHARE
 
@@ -54,21 +55,30 @@ class Plan:
     entries: tuple[Entry, ...]
 
     def chosen(self, words: Iterable[str]) -> Plan:
-        """Return the plan of the entries that each of the words is a part of, with the cells they come from.
+        """Return the plan of the entries that the words choose, with the cells they come from.
+
+        Words of one kind (columns, models, regimes, origins, seeds, numbers of real episodes) are alternatives; words
+        of several kinds must all hold. An entry without training is not chosen by model, regime, origin or seed, and
+        one of no real episodes not by their number: both stay.
 
         Raises
         ------
         UnknownNameError
             When a word is a part of no entry.
         """
-        entries = self.entries
-        known_words = {word for entry in self.entries for word in words_of(entry)}
+        kinds = {word: kind for entry in reversed(self.entries) for kind, word in _words_of(entry).items()}
+        asked_words: dict[str, set[str]] = {}
         for word in words:
-            if word not in known_words:
-                raise UnknownNameError("part of the experiment", word, known_words)
-            # Rows without training stand beside all models, but not beside those of another column.
-            is_shared = word not in self.file.columns
-            entries = tuple(e for e in entries if word in words_of(e) or (is_shared and e.model is None))
+            if word not in kinds:
+                raise UnknownNameError("part of the experiment", word, kinds)
+            asked_words.setdefault(kinds[word], set()).add(word)
+        if "real_count" in asked_words:
+            asked_words["real_count"].add(_count_word(0))
+        entries = tuple(
+            entry
+            for entry in self.entries
+            if all(word in asked_words.get(kind, {word}) for kind, word in _words_of(entry).items())
+        )
         needed = self.ancestors(entry.cell for entry in entries)
         return Plan(self.file, {name: cell for name, cell in self.cells.items() if name in needed}, entries)
 
@@ -83,16 +93,13 @@ class Plan:
         return needed
 
 
-def words_of(entry: Entry) -> set[str]:
-    """Return the words by which `--only` chooses an entry: column, model, regime, origin and seed."""
-    words = (
-        entry.column,
-        entry.model,
-        entry.regime,
-        entry.origin,
-        None if entry.seed is None else f"seed-{entry.seed}",
-    )
-    return {word for word in words if word is not None}
+def _words_of(entry: Entry) -> dict[str, str]:
+    """Return the words that choose an entry, by kind; one without training has no model, regime, origin or seed."""
+    words = {"column": entry.column, "real_count": _count_word(entry.count)}
+    if entry.model is None:
+        return words
+    trained = {"model": entry.model, "regime": str(entry.regime), "origin": entry.origin, "seed": f"seed-{entry.seed}"}
+    return words | trained
 
 
 def plan_cells(file: ExperimentFile) -> Plan:
@@ -239,16 +246,16 @@ class _Planner:
         scene = self._scene(column)
         return self.add(Cell("train", cell_name, settings | self._scene_settings(scene), inputs, _scene_place(scene)))
 
-    def _generation_cell(self, name: str, generation: Generation) -> Cell:
+    def _simulated_cell(self, name: str, recipe: SetRecipe) -> Cell:
         """Return the cell of a simulated set."""
-        return Cell("data", name, self._portable(generation), places={"record": generation.model_dump_json()})
+        return Cell("data", name, self._portable(recipe), places={"record": recipe.model_dump_json()})
 
     def _sealed_cell(self, source_name: str, sealed: SealedWorld) -> Cell:
         """Return the cell of a world that stands in for the real one; worlds of one name share their seal."""
         places = {"record": sealed.model_dump_json(), "seal": sealed.world or source_name}
         return Cell("data", f"data/{source_name}", self._portable(sealed), places=places)
 
-    def _portable(self, record: Generation | SealedWorld) -> dict[str, Any]:
+    def _portable(self, record: SetRecipe | SealedWorld) -> dict[str, Any]:
         """Return the settings of a set without the places of its files, and the digests of what these hold."""
         settings = record.model_dump(mode="json")
         files = {name: self.digest(settings.pop(name)) for name in FILES if settings.get(name) is not None}
@@ -265,16 +272,16 @@ class _Planner:
 
     def simulated(self, source_name: str, effects: str | None, count: int | None) -> str:
         """Return the name of a simulated or standing set to pre-train on, of the repaired simulator with `effects`."""
-        generation = self.file.data[source_name].generate
-        if generation is None:
+        recipe = self.file.data[source_name].generate
+        if recipe is None:
             if effects is not None:
                 raise UsageError(
                     f"{source_name} stands and cannot be simulated with the repair", expected="recipe or generate"
                 )
             return self.add(_standing_cell(source_name, standing.standing_set(self.file, source_name)))
         if effects is None:
-            return self.add(self._generation_cell(f"data/{source_name}", generation))
-        cell = self._generation_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", generation)
+            return self.add(self._simulated_cell(f"data/{source_name}", recipe))
+        cell = self._simulated_cell(f"data/{source_name}/repaired/{_count_word(count)}/{effects}", recipe)
         return self.add(replace(cell, inputs={"effects": effects}))
 
     def part(self, source_name: str, word: str) -> str:

@@ -14,9 +14,9 @@ from candata.datasets.deriving import new_dataset
 from candata.datasets.filtering import chosen_dataset
 from candata.datasets.history import derived_lineage
 from candata.datasets.versions import DATASET
-from candata.effects import read_effects, read_randomisation
+from candata.effects import read_randomisation
 from candata.errors import DataError, UsageError, Where
-from candata.experiment.config import Generation, SealedWorld
+from candata.experiment.config import SealedWorld
 from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.draws import background
 from candata.gap.blind.outside import draw_outside
@@ -29,13 +29,11 @@ from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json, read_json
 from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
-from candata.schema.scene import Noise
-from candata.schema.yaml_text import read_yaml
 from candata.simulate import open_seal
 from candata.simulate.episodes import EpisodeJob
 from candata.simulate.generate import Withheld, generate
 from candata.simulate.jobs import possible_policies
-from candata.simulate.recipe import SetOptions
+from candata.simulate.recipe import SetOptions, SetRecipe, read_noise
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 #: Shares of a set that is trained on: no part of it is for testing, which is done on real episodes.
@@ -44,40 +42,34 @@ TRAINED_ON: Mapping[str, float] = {"train": 0.9, "val": 0.1}
 _CASE_NAME = "world"
 
 
-def set_options(generation: Generation, repair: tuple[EffectSetting, ...] = ()) -> SetOptions:
+def repaired_options(recipe: SetRecipe, repair: tuple[EffectSetting, ...] = ()) -> SetOptions:
     """Return what a set is made with; a repair is part of its simulator.
 
     An effect that is drawn for each episode keeps its draw unless the repair says what it is.
+
+    Raises
+    ------
+    UsageError
+        When a file is not valid, or the randomisation says how many effects act together.
     """
-    given = read_effects(Path(generation.effects)).effects if generation.effects else ()
-    drawn = read_randomisation(Path(generation.randomise)) if generation.randomise else None
-    options: SetOptions = {
-        "objects": generation.objects,
-        "policies": generation.policies,
-        "policy_file": generation.policy_file,
-        "duration_s": generation.duration_s,
-        "noise": _noise(generation.noise_from) or generation.noise,
-        "taxels": generation.taxels,
-        "outcomes": generation.outcomes,
-    }
-    if drawn is None:
-        return options | {"effects": (*given, *repair)}
+    options = recipe.options()
+    if recipe.randomise is None:
+        return options | {"effects": (*options["effects"], *repair)}
     repaired = {(setting.name, setting.element) for setting in repair}
-    kept = tuple(each for each in drawn.effects if (each.name, each.element) not in repaired)
+    kept = tuple(each for each in options["randomisation"] if (each.name, each.element) not in repaired)
     fixed = tuple(RandomEffect(name=s.name, element=s.element, parameters={**s.parameters}) for s in repair)
-    if fixed and drawn.together is not None:
+    if fixed and options["together"] is not None:
         raise UsageError(
             "a repair acts always, and the randomisation says how many effects act together",
-            where=Where(path=str(generation.randomise)),
+            where=Where(path=recipe.randomise),
             fix="give shares to its effects instead of `together`",
         )
-    drawn_options: SetOptions = {"disturbances": drawn.disturbances, "together": drawn.together}
-    return options | drawn_options | {"randomisation": (*fixed, *kept)}
+    return options | {"randomisation": (*fixed, *kept)}
 
 
 def make_simulated(
     root: Path,
-    generation: Generation,
+    recipe: SetRecipe,
     repair: tuple[EffectSetting, ...],
     jobs: int,
     ray: str | None,
@@ -92,13 +84,13 @@ def make_simulated(
     """
     generate(
         root,
-        generation.scene,
-        generation.episodes,
-        generation.seed,
+        recipe.scene,
+        recipe.episodes,
+        recipe.seed,
         workers=jobs,
         ray=ray,
         progress=progress,
-        **set_options(generation, repair),
+        **repaired_options(recipe, repair),
     )
     return _with_split(open_dataset(root))
 
@@ -124,7 +116,8 @@ def make_sealed(
     CandataError
         As `generate`; also when the seal is of another world.
     """
-    scene, noise = load_scene(world.scene), _noise(world.noise_from)
+    scene = load_scene(world.scene)
+    noise = None if world.noise_from is None else read_noise(Path(world.noise_from))
     episodes = world.train + world.test
     seal.parent.mkdir(parents=True, exist_ok=True)
     if world.hidden is None:
@@ -140,11 +133,6 @@ def make_sealed(
         root, world.scene, episodes, world.seed, withheld=withheld, workers=jobs, ray=ray, progress=progress, **options
     )
     return open_dataset(root)
-
-
-def _noise(path: str | None) -> Noise | None:
-    """Return the sensor noise of a file; None without one."""
-    return None if path is None else Noise.parse(read_yaml(Path(path), "the noise file"), path)
 
 
 def _case(root: Path, scene: Scene, world: SealedWorld, seal: Path, asked: dict[str, str | int | float]) -> Dataset:
@@ -234,17 +222,32 @@ def make_part(root: Path, dataset: Dataset, settings: dict[str, Any], cloud_of: 
         When there are fewer training episodes than are asked for, or none are left.
     """
     if not (root / DATASET).exists():
-        ids, details = part_ids(dataset, settings), {"part": settings["part"]}
-        if cloud_of is None:
-            chosen_dataset(dataset, ids, root, details)
-        else:
-            _copy_with_cloud(dataset, ids, root, details, cloud_of)
+        copy_episodes(root, dataset, part_ids(dataset, settings), {"part": settings["part"]}, cloud_of)
     return _with_split(open_dataset(root), {"test": 1.0} if settings["part"] == "test" else TRAINED_ON)
 
 
-def _copy_with_cloud(dataset: Dataset, ids: Sequence[str], root: Path, details: dict[str, Any], scene: str) -> None:
-    """Write a copy of some episodes whose object has the surface of a scene's object as point cloud."""
-    points = surface_cloud(load_scene(scene))
+def copy_episodes(
+    root: Path, dataset: Dataset, ids: Sequence[str], details: dict[str, Any], cloud_of: str | None = None
+) -> None:
+    """Write a new dataset of some episodes.
+
+    Parameters
+    ----------
+    root : Path
+        Where it goes.
+    dataset : Dataset
+        Version that holds them.
+    ids : sequence of str
+        Episodes.
+    details : dict
+        Why these, for the lineage.
+    cloud_of : str, optional
+        As for `make_part`.
+    """
+    if cloud_of is None:
+        chosen_dataset(dataset, ids, root, details)
+        return
+    points = surface_cloud(load_scene(cloud_of))
     with new_dataset(root) as draft:
         cloud = put_cloud(draft, points)
         copies = (

@@ -28,13 +28,14 @@ from candata.experiment.cells import (
     versions,
     write_cell,
 )
-from candata.experiment.config import Generation, SealedWorld
+from candata.experiment.config import SealedWorld
 from candata.gap import Diagnosis, diagnose
 from candata.loaders import parse_mixture
 from candata.models import model as find_model
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json
+from candata.simulate.recipe import SetRecipe
 from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.jobs import TrainRequest, prepare
 from candata.training.loop import train
@@ -178,9 +179,8 @@ def _make_data(cell: Cell, folder: Path, inputs: Mapping[str, Path], bench: Benc
         seal = bench.out / SEALS / f"{cell.places['seal']}.json"
         dataset = sources.make_sealed(folder / SETS, world, seal, bench.jobs, bench.ray, progress)
     else:
-        generation = Generation.model_validate(record)
-        repair = _repair(inputs)
-        dataset = sources.make_simulated(folder / SETS, generation, repair, bench.jobs, bench.ray, progress)
+        recipe = SetRecipe.model_validate(record)
+        dataset = sources.make_simulated(folder / SETS, recipe, _repair(inputs), bench.jobs, bench.ray, progress)
     return {"digest": dataset.digest, "episodes": len(dataset)}
 
 

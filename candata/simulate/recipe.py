@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
 from candata.datasets import put_cloud
+from candata.effects import read_effects, read_randomisation
 from candata.errors import UsageError
 from candata.policies import read_motions, read_step_policy
 from candata.scenes import Scene, load_scene
@@ -19,7 +21,9 @@ from candata.scenes.object_folder import named_object
 from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.randomisation import RandomEffect
+from candata.schema.record import Record
 from candata.schema.scene import Noise
+from candata.schema.yaml_text import read_yaml
 from candata.simulate.jobs import GenerationRecipe, check, policies_with_goal, possible_policies
 
 
@@ -136,6 +140,71 @@ class SetOptions(TypedDict, total=False):
     noise: bool | Noise
     taxels: bool
     outcomes: Mapping[str, float] | None
+
+
+def _as_list(value: Any) -> Any:
+    """Return a word as a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+Words = Annotated[tuple[str, ...], BeforeValidator(_as_list)]
+
+
+class SetRecipe(Record):
+    """A set to simulate, as the options of `candata generate-sim` and a file of its `--recipe` name it.
+
+    `effects`, `randomise`, `policy_file` and `noise_from` are files; the other options are those of `make_recipe`.
+    """
+
+    scene: str
+    episodes: int = Field(ge=1)
+    seed: int = Field(default=1, ge=0)
+    objects: Words = ()
+    effects: str | None = None
+    randomise: str | None = None
+    policies: Words = ()
+    policy_file: str | None = None
+    duration_s: float = 3.2
+    noise: bool = True
+    noise_from: str | None = None
+    taxels: bool = False
+    outcomes: dict[str, float] | None = None
+
+    def options(self) -> SetOptions:
+        """Return what the set is made with, its files read.
+
+        Raises
+        ------
+        UsageError
+            When a file is missing or not valid, or noise is left out and named at once.
+        """
+        if self.noise_from is not None and not self.noise:
+            raise UsageError("no noise and a file of noise at once", fix="leave one of them out")
+        drawn = None if self.randomise is None else read_randomisation(Path(self.randomise))
+        return {
+            "objects": self.objects,
+            "effects": () if self.effects is None else read_effects(Path(self.effects)).effects,
+            "randomisation": () if drawn is None else drawn.effects,
+            "together": None if drawn is None else drawn.together,
+            "disturbances": None if drawn is None else drawn.disturbances,
+            "policies": self.policies,
+            "policy_file": self.policy_file,
+            "duration_s": self.duration_s,
+            "noise": self.noise if self.noise_from is None else read_noise(Path(self.noise_from)),
+            "taxels": self.taxels,
+            "outcomes": self.outcomes,
+        }
+
+
+def read_noise(path: Path) -> Noise:
+    """Return the sensor noise of a file.
+
+    Raises
+    ------
+    UsageError
+        When it is missing or not valid.
+    """
+    return Noise.parse(read_yaml(path, "the noise file"), path)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from candata.training.evaluated_runs import EvaluatedRun
 from candata.training.forecasters import BASELINES, TrainedModel
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation, ModelFacts, Scores, SimulatorFacts, Track
 from candata.training.rollout import EXECUTE, Course
-from candata.training.run_simulator import trained_simulator
+from candata.training.run_simulator import trained_simulator, unmet_objects
 from candata.training.scoring import Entrant, EvaluationFindings, chosen_windows, score
 from candata.training.servo_lag import fit_servo_lags, followed_joints
 from candata.training.simulator import Simulator, simulator
@@ -161,7 +161,7 @@ def evaluate(
         pairs=findings.pairs,
         breakdown=findings.breakdown,
         by_episode=findings.by_episode,
-        notes=simulators.notes + _joint_notes(settings),
+        notes=simulators.notes + _joint_notes(settings) + _object_notes(evaluated, entrants),
         forecasters={
             name: Scores(
                 summary=entrant.forecaster.summary,
@@ -294,6 +294,17 @@ def _joint_notes(settings: EvaluationSettings) -> tuple[str, ...]:
     """Return what people must know of the joints that closed loops feed."""
     is_seen = settings.joints == "servo" and settings.group in evaluated_runs.KNOWINGLY_SEEN
     return ("the servos were fitted on episodes that are scored here",) if is_seen else ()
+
+
+def _object_notes(evaluated: Sequence[EvaluatedRun], entrants: Mapping[str, Entrant]) -> tuple[str, ...]:
+    """Return which runs correct a simulation of objects that they were not trained with."""
+    notes = []
+    for each in evaluated:
+        forecaster = entrants[each.name].forecaster
+        if isinstance(forecaster, TrainedModel) and isinstance(forecaster.simulator, Simulator):
+            names = unmet_objects(each.run, forecaster.simulator)
+            notes += [f"{each.name} was last trained without {', '.join(names)}"] if names else []
+    return tuple(notes)
 
 
 def _simulated_joints(course: Course, simulator: Simulator) -> NDArray:

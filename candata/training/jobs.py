@@ -69,6 +69,10 @@ class TrainRequest:
         that of `init`, else the one that each episode names.
     effects : tuple of EffectSetting or None
         Effects of its simulator; those of `init`, else none.
+    forecasts : Path or None
+        Folder where the simulator's forecasts are kept; the user's cache by default.
+    most_windows : int or None
+        Windows at most of each source and of the validation, evenly spread; all by default.
     """
 
     model: str | None = None
@@ -83,6 +87,8 @@ class TrainRequest:
     mixture: Mixture | None = None
     scene: str | None = None
     effects: tuple[EffectSetting, ...] | None = None
+    forecasts: Path | None = None
+    most_windows: int | None = None
 
 
 def prepare(
@@ -139,8 +145,12 @@ def prepare(
     simulation = run_simulator.stated(name, request.scene, request.effects, initial, train)
     if simulation is not None:
         train = simulated.thinned(train)
+    if request.most_windows is not None:
+        train = simulated.evenly_chosen(train, request.most_windows)
     run = _run(training_data, request, settings, name, config, train, initial, simulation)
-    make_simulated = partial(run_simulator.simulated_feed, run=run, processes=processes, simulating=simulating)
+    make_simulated = partial(
+        run_simulator.simulated_feed, run=run, processes=processes, simulating=simulating, folder=request.forecasts
+    )
     module = build(run, device)
     if initial is not None:
         module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
@@ -149,8 +159,10 @@ def prepare(
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
         if simulation is not None:
-            settle = partial(_settled, held_out=held_out, device=device)
-            held_out = simulated.evenly_chosen(held_out, settings.batch * HELD_OUT_BATCHES)
+            # A trial on a few windows only tells how long training takes.
+            settle = None if request.most_windows else partial(_settled, held_out=held_out, device=device)
+            most_windows = settings.batch * HELD_OUT_BATCHES
+            held_out = simulated.evenly_chosen(held_out, min(request.most_windows or most_windows, most_windows))
         batches = feed.held_out(make_simulated(held_out), settings.batch, HELD_OUT_BATCHES, device)
     return TrainingJob(
         run,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 from candata.errors import UsageError, Where
 from candata.loaders import MixedWindows, Windows
@@ -67,14 +68,14 @@ def stated(
 
 
 def simulated_feed(
-    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress
+    windows: Windows | MixedWindows, run: Run, processes: Processes, simulating: Progress, folder: Path | None = None
 ) -> Windows | MixedWindows | SimulatedWindows:
-    """Return the windows with the forecasts of the run's simulator, where it has one."""
+    """Return the windows with the forecasts of the run's simulator, where it has one; kept in a folder."""
     facts = run.simulator
     if facts is None:
         return windows
     build = partial(simulator, scene=facts.scene, effects=facts.effects)
-    return simulated_windows(windows, build, simulating, first_share=processes.rank / processes.world)
+    return simulated_windows(windows, build, simulating, folder, first_share=processes.rank / processes.world)
 
 
 def trained_simulator(
@@ -96,7 +97,8 @@ def trained_simulator(
     Raises
     ------
     UsageError
-        When a scene is not the one that the model was trained with, or there is none.
+        When a scene is not the one that the model was trained with, or there is none. One with an object of another
+        name is taken, see `unmet_objects`.
     CandataError
         As `candata.training.simulator.simulator`.
     """
@@ -105,9 +107,9 @@ def trained_simulator(
         return None
     made = simulator(windows, scene or facts.scene, facts.effects, threads=threads)
     trained_digests = set(facts.digests.values())
+    trained_objects = {_object_name(name) for name in facts.digests}
     for name, digest in made.scenes.digests.items():
-        # A model of several objects may meet another one; a scene by itself is the one that was trained in.
-        is_other_object = OBJECT_MARK in name and name not in facts.digests
+        is_other_object = OBJECT_MARK in name and _object_name(name) not in trained_objects
         if digest not in trained_digests and not is_other_object:
             raise UsageError(
                 f"scene {name} is not the one that the model was trained in",
@@ -117,3 +119,14 @@ def trained_simulator(
                 fix="bring the scene of that time back, or train again",
             )
     return made
+
+
+def unmet_objects(run: Run, made: Simulator) -> tuple[str, ...]:
+    """Return the names of objects in a model's simulator that were in none of the scenes it was trained in last."""
+    trained_digests = set() if run.simulator is None else set(run.simulator.digests.values())
+    return tuple(_object_name(name) for name, digest in made.scenes.digests.items() if digest not in trained_digests)
+
+
+def _object_name(scene: str) -> str:
+    """Return the name of the object that a scene holds in the place of its own, wherever its folder lies."""
+    return Path(scene.partition(OBJECT_MARK)[2]).name

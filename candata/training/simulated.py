@@ -46,6 +46,19 @@ def thinned(feed: Windows | MixedWindows) -> Windows | MixedWindows:
     return _thinned(feed)
 
 
+def rows_apart(count: int, stride: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return how many rows lie between the windows that are simulated.
+
+    Parameters
+    ----------
+    count : int
+        Windows of which every row of the episodes begins one.
+    stride : (n,) int64
+        Rows a model step.
+    """
+    return np.minimum(-(-count // DENSE_WINDOWS), stride)
+
+
 def evenly_chosen(feed: Windows | MixedWindows, count: int) -> Windows | MixedWindows:
     """Return `count` windows at most of each source, evenly spread."""
     if isinstance(feed, MixedWindows):
@@ -187,7 +200,7 @@ def _key(feed: Windows, forecaster: Simulator) -> str:
 
 def _thinned(source: Windows) -> Windows:
     """Return the windows of every few rows of the episodes, at least one a model step."""
-    every = np.minimum(-(-len(source) // DENSE_WINDOWS), source.stride[source.owner])
+    every = rows_apart(len(source), source.stride[source.owner])
     kept = (source.present_row - source.cache.begin[source.owner]) % every == 0
     return replace(source, present_row=source.present_row[kept], owner=source.owner[kept])
 

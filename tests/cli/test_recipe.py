@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from inspect import signature
+
 import pytest
 
 from candata.datasets import open_dataset
+from candata.simulate.recipe import SetRecipe
+from candata_cli.generate_commands import generate_sim
 from tests.cli.command import run
 
 RECIPE = "scene: cube_toss\nepisodes: 3\nduration_s: 0.2\neffects: sub/heavy.yaml\nnoise: false\n"
@@ -58,6 +62,8 @@ def test_what_is_typed_goes_before(recipe, tmp_path):
         ("- 3\n", "holds no options"),
         ("", "holds no options"),
         ("episodes: many\n", "Invalid value for '--episodes'"),
+        ("scene: cube_toss\nepisodes: 1\nduration_s: .nan\n", "duration_s"),
+        ("scene: cube_toss\nepisodes: 1\nnoise: false\nnoise_from: a.yaml\n", "no noise and a file of noise at once"),
     ],
 )
 def test_a_wrong_recipe_is_one_error(tmp_path, text, said):
@@ -66,3 +72,10 @@ def test_a_wrong_recipe_is_one_error(tmp_path, text, said):
     assert result.code == 2
     assert said in result.err
     assert not (tmp_path / "a").exists()
+
+
+def test_every_field_of_a_recipe_is_an_option_with_the_same_default():
+    options = signature(generate_sim).parameters
+    for name, field in SetRecipe.model_fields.items():
+        assert name in options
+        assert field.is_required() or (options[name].default or None) == (field.default or None)

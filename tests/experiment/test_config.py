@@ -167,6 +167,29 @@ def test_rows_are_chosen_by_words(experiment_file):
         plan.chosen(["seed-11"])
 
 
+def test_words_of_one_kind_are_alternatives_and_rows_of_no_real_episodes_stay_beside(experiment_file):
+    changes = {
+        "models": {name: TINY | {"model": "mlp"} for name in ("a", "b", "c")},
+        "columns": {"single": {"sim": "sim", "real": "real", "scene": "cube_toss"}},
+        "rows": ["stays", "repaired simulator"],
+        "regimes": ["sim", "real"],
+        "real_counts": [0, 2, 3, 4],
+    }
+    plan = plan_cells(read_experiment(experiment_file(**changes)))
+    chosen = plan.chosen(["a", "b", "train-2", "train-4"])
+    assert {(entry.model, entry.count) for entry in chosen.entries} == {
+        (name, count) for name in ("a", "b", None) for count in (0, 2, 4)
+    }
+    assert {name for name in chosen.cells if name.startswith("part/")} == {
+        "part/real/test",
+        "part/real/train-2",
+        "part/real/train-4",
+    }
+    assert {entry.count for entry in plan.chosen(["train-0"]).entries} == {0}
+    with pytest.raises(UnknownNameError, match="train-3"):
+        plan.chosen(["train-33"])
+
+
 def test_a_column_is_chosen_with_its_own_rows_alone(experiment_file):
     columns = {title: {"sim": "sim", "real": "real"} for title in ("single", "again")}
     chosen = plan_cells(read_experiment(experiment_file(columns=columns))).chosen(["single"])

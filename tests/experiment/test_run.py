@@ -9,13 +9,14 @@ import pytest
 from candata.datasets import open_dataset
 from candata.effects import read_randomisation
 from candata.errors import CandataError, UsageError
-from candata.experiment.config import Generation, SealedWorld, read_experiment
+from candata.experiment.config import SealedWorld, read_experiment
 from candata.experiment.plan import plan_cells
 from candata.experiment.run import run_experiment
-from candata.experiment.sources import make_sealed, opened_effects, set_options
+from candata.experiment.sources import make_sealed, opened_effects, repaired_options
 from candata.experiment.table import REPLAYED
 from candata.reports import write_diagnosis
 from candata.schema.effect import EffectSetting
+from candata.simulate.recipe import SetRecipe
 from candata.simulate.seal import read_seal
 from tests.experiment.conftest import TINY, standing_set
 
@@ -174,7 +175,7 @@ def test_a_repair_takes_the_place_of_what_was_drawn(tmp_path):
     (tmp_path / "random.yaml").write_text(text)
     file = {"scene": "cube_toss", "episodes": 4, "randomise": str(tmp_path / "random.yaml")}
     repair = (EffectSetting(name="object_mass", parameters={"mass_scale": 1.4}),)
-    drawn = set_options(Generation(**file), repair)["randomisation"]
+    drawn = repaired_options(SetRecipe(**file), repair)["randomisation"]
     assert [effect.name for effect in drawn] == ["object_mass", "sliding_friction"]
     assert drawn[0].parameters == {"mass_scale": 1.4}
     assert drawn[1] == read_randomisation(tmp_path / "random.yaml").effects[1]

@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 import torch
 
+from candata.datasets import open_dataset
 from candata.errors import UsageError
 from candata.loaders import Augmentation, augment, mix, noise, windows
 from candata.loaders.increments import increments
 from candata.models import Sizes
 from candata.models import model as find_model
+from candata.scenes.contract import OBJECTS
 from candata.schema.effect import EffectSetting
+from candata.simulate.generate import generate
 from candata.testing.models import tiny_config
 from candata.training import TrainingSettings, TrainRequest, prepare, simulated, train
 from candata.training.checkpoint import read
+from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.forecasters import TrainedModel
 from candata.training.rollout import close_loop, course
 from candata.training.run_simulator import trained_simulator
@@ -222,3 +226,32 @@ class TestTraining:
     def test_effects_for_a_model_that_reads_no_simulator_are_refused(self, data):
         with pytest.raises(UsageError, match="mlp reads no simulator"):
             prepare(data, TrainRequest(model="mlp", history=3, horizon=4, effects=LATE), self.settings())
+
+    def test_an_object_that_a_run_has_not_met_is_said_and_a_changed_one_refused(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+        monkeypatch.setattr(simulated, "DENSE_WINDOWS", 60)
+
+        def put(folder, name, mass_kg):
+            (folder / name).mkdir(parents=True)
+            can = OBJECTS.load("can").file.model_copy(update={"name": name, "mass_kg": mass_kg})
+            (folder / name / "object.yaml").write_text(can.model_dump_json())
+            return str(folder / name)
+
+        for name in ("empty", "full"):
+            place = put(tmp_path / "objects", name, 0.1)
+            played = {"workers": 1, "duration_s": 0.8, "objects": [place], "policies": ("push",)}
+            generate(tmp_path / name, "gripper_tabletop", 3, 1, **played)
+        scene = f"gripper_tabletop+{tmp_path / 'objects'}"
+        train(prepare(open_dataset(tmp_path / "empty"), self.request(scene=scene), self.settings()), tmp_path / "run")
+
+        def notes(name, **options):
+            settings = EvaluationSettings(group="all", samples=1, steps=1, simulator=False, **options)
+            return evaluate([tmp_path / "run"], open_dataset(tmp_path / name), settings)[0].notes
+
+        assert notes("empty") == ()
+        assert notes("full") == ("run was last trained without full",)
+        put(tmp_path / "elsewhere", "empty", 0.2)
+        with pytest.raises(UsageError, match="is not the one that the model was trained in"):
+            trained_simulator(
+                read(tmp_path / "run"), few_windows(tmp_path / "empty"), f"gripper_tabletop+{tmp_path / 'elsewhere'}"
+            )
