@@ -291,7 +291,7 @@ def steady(folder: Path, seconds: float, beside_busy_core: bool) -> None:
         share = (cpu_s(family(process)) - begin_cpu_s) / (time.monotonic() - begin_s)
         report = json.loads(process.communicate()[0])
     results = compare(folder / "send", read_log(log))
-    where = "beside a busy core" if beside_busy_core else "on a free machine"
+    where = "beside a busy core" if beside_busy_core else "without a busy core"
     print(f"{report['duration_s']:.1f} s of four streams {where}: CPU {100 * share:.1f} % of a core (target 25 %)")
     for name, result in results.items():
         print(

@@ -225,6 +225,7 @@ def stream_metas(metadata: Mapping[str, Mapping[str, Any]], place: Where) -> dic
 
 
 def _fill_pose(built: Any, value: Sequence[float]) -> None:
+    built.frame_id = "world"
     at, turn = built.pose.position, built.pose.orientation
     at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z = value
 
