@@ -32,10 +32,11 @@ def main() -> int:
     for name in names:
         begin = time.process_time()
         tally, bits = fuzz(name, -(-arguments.inputs // len(names)), arguments.seed), CHECK_BITS[name]
-        odds = f"{tally.most_wrong(bits):.0f} explained" if bits else "no check of its own"
+        odds = f"wrong ({tally.most_wrong(bits):.0f} explained)" if bits else "changed but plausible"
         print(
-            f"{name:12} {tally.inputs} inputs: {tally.sound} sound, {tally.refused} refused, {tally.wrong} wrong "
-            f"({odds}), {time.process_time() - begin:.0f} s"
+            f"{name:12} {tally.inputs} inputs: {tally.sound} sound, {tally.refused} refused, {tally.wrong} {odds}, "
+            f"{time.process_time() - begin:.0f} s",
+            flush=True,
         )
         is_beyond |= bool(bits) and tally.wrong > tally.most_wrong(bits)
     return int(is_beyond)

@@ -8,7 +8,7 @@ record of an XHand's fingertip.
 No public source settles what follows, so it is a setting behind the address:
 
 - the check byte of a reply, `check=lrc` (that of a request: what the bytes from the id on lack to a multiple of 256) or
-  `check=none`;
+  `check=none`. It is a plain sum: two flipped bits can cancel, and about one damaged reply in 128 passes;
 - the scale, which the maker does not publish: taxels stay counts;
 - which fingertip answers: a reply does not say. One stream is one fingertip, `tip=NAME` names it.
 
