@@ -87,7 +87,7 @@ class ImportRecipe(Record):
     newton_per_count: Positive | None = None
     threshold_n: Positive = 0.3
     release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
-    max_gap_periods: Positive = align.MAX_GAP_PERIODS
+    max_gap_periods: float = Field(default=align.MAX_GAP_PERIODS, gt=1.0)
     uncalibrated: bool = False
     scene: str | None = None
     roles: SceneFile | None = None
