@@ -51,7 +51,9 @@ MaxGap = Annotated[
 ]
 Align = Annotated[
     str | None,
-    typer.Option("--align", metavar="stamps|clocks", help="log: `clocks` fits those beside the hand [stamps]."),
+    typer.Option(
+        "--align", metavar="device|clocks|stamps", help="log: clocks beside the hand [device]; `clocks`: by motion too."
+    ),
 ]
 AllowUncalibrated = Annotated[
     bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")

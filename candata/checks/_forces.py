@@ -38,6 +38,8 @@ class FingertipForces:
         Fingertips.
     release_n : float or None
         Force below which contact ends [N]; None where the threshold alone counts.
+    before : (F,) bool, optional
+        Flags before the first row: an episode may be cut out of a longer recording while a fingertip touches.
     """
 
     xyz: Array
@@ -46,11 +48,12 @@ class FingertipForces:
     is_rule_stated: bool
     names: tuple[str, ...]
     release_n: float | None = None
+    before: Mask | None = None
 
     @property
     def touch(self) -> Mask:
         """`(T, F) bool`: in contact by the rule."""
-        return contact_of_totals(self.total, self.threshold_n, self.release_n)
+        return contact_of_totals(self.total, self.threshold_n, self.release_n, self.before)
 
     @property
     def has_value(self) -> Mask:
@@ -67,7 +70,10 @@ def forces(view: EpisodeView) -> FingertipForces | None:
     threshold = rule.threshold_n if rule else THRESHOLD_N
     release_n = rule.release_n if rule else None
     names = view.elements("fingertip_force")
-    return FingertipForces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, names, release_n)
+    total = np.abs(xyz).sum(axis=2)
+    first_flags = flags(view, total.shape[1])
+    before = None if first_flags is None else first_flags[0] > 0
+    return FingertipForces(xyz, total, threshold, rule is not None, names, release_n, before)
 
 
 def flags(view: EpisodeView, count: int) -> Array | None:

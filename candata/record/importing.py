@@ -78,7 +78,8 @@ class ImportRecipe(Record):
     object, task : str, optional
         Of the episode; else what the companions say, or the scene.
     align : str
-        `stamps`: streams beside the hand count by their stamps; `clocks`: their clocks are fitted first.
+        How streams beside the hand are put on the clock of the log. `device`: by the device's own clock where it has
+        one, else by the stamps; `clocks`: by motion too where it has none; `stamps`: by the stamps of arrival alone.
     """
 
     episode: str
@@ -86,13 +87,13 @@ class ImportRecipe(Record):
     newton_per_count: Positive | None = None
     threshold_n: Positive = 0.3
     release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
-    max_gap_periods: Positive = align.MAX_GAP_PERIODS
+    max_gap_periods: float = Field(default=align.MAX_GAP_PERIODS, gt=1.0)
     uncalibrated: bool = False
     scene: str | None = None
     roles: SceneFile | None = None
     object: str | None = None
     task: str | None = None
-    align: Literal["stamps", "clocks"] = Field(default="stamps", exclude_if=lambda way: way == "stamps")
+    align: Literal["device", "clocks", "stamps"] = "device"
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,10 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
     beside_hand, stream_notes = logged_companions(log)
     streams, notes = merge_streams(wire_streams(log, scale), [*beside_hand, *companions])
-    streams, clocks = set_clocks(streams) if recipe.align == "clocks" else (streams, ())
+    if recipe.align == "stamps":
+        clocks: tuple[StreamClock, ...] = ()
+    else:
+        streams, clocks = set_clocks(streams, by_motion=recipe.align == "clocks")
     notes += [*stream_notes, *clock_notes(clocks)]
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz

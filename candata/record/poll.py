@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,8 +29,8 @@ def read_posture(text: str, device: Device) -> tuple[float, ...]:
     UsageError
         When a joint is missing, unknown or no number.
     """
-    path = Path(text)
-    words = _row_of(path, device.joint_names) if path.is_file() else text.split(",")
+    # Numbers of many digits are longer than a file's name may be.
+    words = _row_of(Path(text), device.joint_names) if os.path.isfile(text) else text.split(",")
     try:
         values = tuple(float(word) for word in words)
     except ValueError:
@@ -66,9 +67,12 @@ def poll_of(device: Device, name: str, posture_rad: Sequence[float]) -> Poll:
 
 def _row_of(path: Path, joints: Sequence[str]) -> list[str]:
     """Return the last row of a table, in the order of the joints."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    absent = [joint for joint in joints if not rows or joint not in rows[-1]]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError("the set-point's file is no CSV file", found=str(error), where=Where(path=str(path))) from None
+    absent = [joint for joint in joints if not rows or not rows[-1].get(joint)]
     if absent:
         raise UsageError("the set-point's file lacks joints", expected=", ".join(absent), where=Where(path=str(path)))
     return [rows[-1][joint] for joint in joints]

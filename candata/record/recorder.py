@@ -199,7 +199,7 @@ class _Recording:
         return self._resting_ns + 1e9 * (self._settings.duration_s + self._settings.calibrate_s)
 
     def _take_last(self, link: ReaderLink, end_ns: int) -> None:
-        """Take what the reader had read by `end_ns`."""
+        """Take what the reader had read by `end_ns`, and end the episode under way."""
         while events := link.receive(0.05):
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
@@ -210,6 +210,8 @@ class _Recording:
                 raise stream.never_heard(end_ns)
         if not self._tally.frames["state"]:
             raise no_state(self._tally, self._meta)
+        if self._session is not None:
+            self._session.stopped(end_ns)
 
     def _check_drift(self, link: ReaderLink, show: Callable[[RecorderView], None]) -> None:
         """Measure how far the forces of a session drifted, once the hand rests; a second Ctrl-C leaves it out."""
@@ -328,7 +330,7 @@ class _Recording:
     def _tick(self, show: Callable[[RecorderView], None]) -> None:
         """Do what is due: flush, statistics with fsync, the view, the checks."""
         now_ns = time.monotonic_ns()
-        if self._session is not None and not self._drift.is_open:
+        if self._session is not None:
             self._session.tick(now_ns)
         if self._is_due("flush", now_ns, _FLUSH_S):
             self._writer.flush()

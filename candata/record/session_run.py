@@ -14,7 +14,7 @@ from candata.datasets.writing import write_text
 from candata.errors import DataError, Where
 from candata.record.log_messages import DRIFT, MARK
 from candata.record.logs import Log, LogWriter, read_log
-from candata.record.session import KEY_WORDS, Session, SessionPlan, Touch, due_mark, replay
+from candata.record.session import KEY_WORDS, SPACE, Session, SessionPlan, Touch, due_mark, replay
 from candata.schema.record import Record
 from candata.schema.session import DriftCheck, Mark, MarkKind, MarkSource, SessionEpisode, SessionFile
 
@@ -58,6 +58,7 @@ class RunningSession:
         self._plan, self._keys, self._say, self._keys_text = plan, keys, say, keys_text
         self._session, self._touch = Session(), Touch()
         self._start_ns: int | None = None
+        self._is_over = False
         self._drift: DriftCheck | None = None
 
     def open(self, writer: LogWriter) -> None:
@@ -83,12 +84,19 @@ class RunningSession:
 
     def tick(self, now_ns: int) -> None:
         """Take the keys that were pressed, and what the schedule says."""
-        for stamp_ns, key in self._keys():
-            mark = self._session.typed(key)
-            if mark is not None:
-                self._mark(mark, stamp_ns, "key", "space" if key == " " else key)
-        if not self._plan.on_contact:
+        self._take_keys()
+        if not (self._plan.on_contact or self._is_over):
             self._follow_plan(now_ns, "schedule")
+
+    def stopped(self, now_ns: int) -> None:
+        """End the episode under way with the recording: what follows, such as a drift check, is none of it.
+
+        The episodes may still be judged: keys that begin or end one do nothing from now on.
+        """
+        self._is_over = True
+        if self._session.open_episode is not None:
+            self._mark("end", now_ns, "stop", "")
+        self._take_keys()
 
     def drifted(self, stamp_ns: int, drift: DriftCheck) -> None:
         """Keep what the drift check gave."""
@@ -115,6 +123,12 @@ class RunningSession:
             self._plan.episodes,
             self._keys_text,
         )
+
+    def _take_keys(self) -> None:
+        for stamp_ns, key in self._keys():
+            mark = self._session.typed(key)
+            if mark is not None and not (self._is_over and key == SPACE):
+                self._mark(mark, stamp_ns, "key", "space" if key == SPACE else key)
 
     def _follow_plan(self, now_ns: int, by: MarkSource) -> None:
         if self._start_ns is None:

@@ -1,8 +1,9 @@
 """Clocks of the streams beside a hand, found against the clock of the log.
 
-A device's own clock is laid on the host's stamps by a line. A stream without one is shifted until its speed goes with
-that of the hand's joints, window by window, and a line through the lags gives offset and drift. What cannot be told
-(a still hand, periodic motion, no common motion, windows that disagree) leaves the stamps as they are, and says so.
+A device's own clock is laid on the host's stamps by a line. A stream without one is shifted, on request, until its
+speed goes with that of the hand's joints, window by window; a line through the lags gives offset and drift. What
+cannot be told (a still hand, periodic motion, no common motion, windows that disagree, a clock that steps) leaves the
+stamps as they are, and says so.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from candata import align, rotation
 from candata.record.companions import RecordedStream
 from candata.record.import_streams import WIRE
-from candata.record.motion_lags import MAX_LAG_S, Lag, LagRefusal, Speed, window_lags
+from candata.record.motion_lags import Lag, LagRefusal, Speed, window_lags
 from candata.schema.channels import QUATERNION
 from candata.schema.episode import StreamClock
 
@@ -32,6 +33,12 @@ DRIFT_ERRORS = 3.0
 DRIFT_WINDOWS = 3
 #: Frames that a line of a device's clock needs.
 DEVICE_FRAMES = 20
+#: Share of readings that may repeat the one before: more, and the clock ticks slower than the frames come. Chosen.
+MAX_REPEATED_SHARE = 0.05
+#: Crystals are off by 1e-4 at most; a clock this far from the host's counts in another unit. Chosen.
+MAX_DEVICE_DRIFT = 0.01
+#: In a block of this length, and of `DEVICE_FRAMES` at least, a frame comes without delay even on a loaded machine [s].
+BLOCK_S = 2.0
 #: A message is never early: so many of a stream's frames arrive sooner than the line is laid.
 EARLY_SHARE = 0.05
 
@@ -45,26 +52,33 @@ class _Line:
     residual_s: float
 
 
-def set_clocks(streams: Sequence[RecordedStream]) -> tuple[list[RecordedStream], tuple[StreamClock, ...]]:
+def set_clocks(
+    streams: Sequence[RecordedStream], *, by_motion: bool
+) -> tuple[list[RecordedStream], tuple[StreamClock, ...]]:
     """Return the streams with their stamps on the clock of the log, and how that clock was found, for each origin.
 
     Parameters
     ----------
     streams : sequence of RecordedStream
         The first holds the joints of the hand; those from the wire are on the clock of the log.
+    by_motion : bool
+        Fit those whose own clock does not serve by their motion. Else their stamps hold, and streams without a clock
+        are not among the clocks.
     """
     reference, clocks = streams[0], {}
     aligned: dict[int, RecordedStream] = {}
     for origin in dict.fromkeys(s.origin for s in streams if s.origin != WIRE):
         members = [(k, s) for k, s in enumerate(streams) if s.origin == origin]
-        clock, times = _clock(reference, origin, [s for _, s in members])
+        if not by_motion and members[0][1].device_time_ns is None:
+            continue
+        clock, times = _clock(reference, origin, [s for _, s in members], by_motion)
         clocks[origin] = clock
         aligned |= {k: replace(s, time_ns=time_ns) for (k, s), time_ns in zip(members, times, strict=True)}
     return [aligned.get(k, s) for k, s in enumerate(streams)], tuple(clocks.values())
 
 
 def _clock(
-    reference: RecordedStream, origin: str, members: Sequence[RecordedStream]
+    reference: RecordedStream, origin: str, members: Sequence[RecordedStream], by_motion: bool
 ) -> tuple[StreamClock, list[NDArray[np.int64]]]:
     """Return the clock of one origin, and the stamps of its streams on the clock of the log."""
     untouched, reasons = [s.time_ns for s in members], []
@@ -74,11 +88,12 @@ def _clock(
         if not isinstance(found, str):
             return found[0], [found[1]] * len(members)
         reasons.append(found)
-    motion = _motion_clock(reference, origin, members)
-    if not isinstance(motion, str):
-        return motion, [_shifted(s.time_ns, motion, int(reference.time_ns[0])) for s in members]
-    reason = "; ".join([*reasons, motion])
-    return StreamClock(stream=origin, method="stamps", reason=reason), untouched
+    if by_motion:
+        motion = _motion_clock(reference, origin, members)
+        if not isinstance(motion, str):
+            return motion, [_shifted(s.time_ns, motion, int(reference.time_ns[0])) for s in members]
+        reasons.append(motion)
+    return StreamClock(stream=origin, method="stamps", reason="; ".join(reasons)), untouched
 
 
 def _device_clock(
@@ -90,12 +105,19 @@ def _device_clock(
         return f"the device's clock steps back {len(backward_steps)} times, first at frame {backward_steps[0] + 1}"
     if len(np.unique(device_ns)) < DEVICE_FRAMES:
         return f"fewer than {DEVICE_FRAMES} readings of the device's clock"
+    repeated_share = float(np.mean(np.diff(device_ns) == 0))
+    if repeated_share > MAX_REPEATED_SHARE:
+        return f"the device's clock is coarse: {repeated_share:.0%} of its readings repeat the one before"
     device_s, host_s = (device_ns - device_ns[0]) * 1e-9, (host_ns - host_ns[0]) * 1e-9
     line = _theil_sen(device_s, host_s - device_s)
+    if abs(line.slope) > MAX_DEVICE_DRIFT:
+        return f"the device's clock runs {1 / (1 + line.slope):.4g} times as fast as the host's: another unit of time?"
     late_s = host_s - device_s - line.offset_s - line.slope * device_s
     residual_s = float(np.median(np.abs(late_s)))
-    if np.ptp(np.convolve(late_s, np.ones(5) / 5, "valid")) > MAX_LAG_S:
-        return "the device's clock jumps against the host's stamps"
+    blocks = max(1, min(int(host_s[-1] / BLOCK_S), len(late_s) // DEVICE_FRAMES))
+    spread_s = float(np.ptp([block.min() for block in np.array_split(late_s, blocks)]))
+    if spread_s > LARGEST_RESIDUAL_S:
+        return f"the device's clock steps or wanders against the host's stamps, by {spread_s:.3f} s"
     stamps_s = device_s + line.offset_s + line.slope * device_s + float(np.quantile(late_s, EARLY_SHARE))
     clock = StreamClock(
         stream=origin,

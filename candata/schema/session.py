@@ -7,15 +7,15 @@ from typing import Literal
 from candata.schema.record import Record
 
 MarkKind = Literal["begin", "end", "success", "slip", "drop", "miss", "discard"]
-MarkSource = Literal["key", "schedule", "contact"]
+MarkSource = Literal["key", "schedule", "contact", "stop"]
 BEGIN, END, DISCARD = "begin", "end", "discard"
 
 
 class Mark(Record):
     """One mark: when (on the clock of whoever made it) [ns], what, by whom and by which key, and what it did.
 
-    `episode` is the number of the episode that it fits, null if none; `note` says why it changed nothing, or what it
-    replaced.
+    By `stop`, an episode ended with the recording. `episode` is the number of the episode that it fits, null if none;
+    `note` says why it changed nothing, or what it replaced.
     """
 
     time_ns: int

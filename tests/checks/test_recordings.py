@@ -9,7 +9,7 @@ from candata import plugins
 from candata.checks import EpisodeView, check, defects
 from candata.datasets import append, create_dataset, open_dataset
 from candata.formats.table import read_mapped
-from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 from candata.schema.scene import TableMap
 from tests.formats.made_bags import read
@@ -124,3 +124,21 @@ def test_a_view_of_an_episode_has_no_value_where_it_is_invalid(episode):
     view = EpisodeView(defects.with_arrays(raw, {**raw.arrays, "joint_position_valid": valid}))
     assert np.isnan(view.values("joint_position")[3]).all()
     assert np.isfinite(view.values("joint_position")[valid]).all()
+
+
+def test_the_check_accepts_an_episode_that_is_cut_out_while_contact_is_held(judged):
+    force = np.zeros((200, 1, 3))
+    force[:150, 0, 2] = 0.25  # began before the cut
+    flags = np.arange(200)[:, None] < 150
+    rule = ContactRule(threshold_n=0.3, release_n=0.2)
+    for is_wrong in (False, True):
+        touch = flags ^ is_wrong
+        arrays = {
+            "time_ns": np.arange(200) * 10_000_000,
+            "fingertip_force": force,
+            "joint_position": force[:, 0],
+            "fingertip_contact": touch,
+        }
+        meta = EpisodeMeta(id="e", source="real", rate_hz=100.0, fingertip_names=("tip",), contact_rule=rule)
+        episode = defects.as_stored(Episode(meta, arrays | {"contact": touch[:, 0]}))
+        assert bool(judged([episode], rules=["contact_flags"])) == is_wrong

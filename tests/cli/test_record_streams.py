@@ -117,3 +117,9 @@ def test_a_set_point_is_read_from_a_file(tmp_path):
     path.write_text(",".join(names[1:]) + "\n" + ",".join(["0"] * 11) + "\n")
     with pytest.raises(UsageError, match="lacks joints"):
         read_posture(str(path), device)
+    for damaged in (",".join(names) + "\n0,0,0\n", b"\xff\xfe\x00"):
+        path.write_bytes(damaged if isinstance(damaged, bytes) else damaged.encode())
+        with pytest.raises(UsageError):
+            read_posture(str(path), device)
+    digits = ",".join(["0.1234567890123456789012"] * 12)
+    assert read_posture(digits, device) == pytest.approx((0.1234567890123456789012,) * 12)

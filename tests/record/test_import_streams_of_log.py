@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from candata.record.importing import import_log
+from candata.errors import CandataError
+from candata.record.importing import ImportRecipe, import_log
 from candata.record.log_streams import LoggedStream, SignalMeta, StreamMeta
 from tests.record.made_logs import JOINTS, RECIPE, START, make_log, scene, swing
 
@@ -79,3 +81,8 @@ def test_what_no_channel_holds_stays_in_the_log_and_is_told():
     result = imported(stream("wrench", WRENCH, 100.0, 10.0))
     assert any(note.startswith("/wrench: wrench stays in the log") for note in result.notes)
     assert set(result.episode.arrays) == set(imported().episode.arrays)
+
+
+def test_a_gap_of_no_more_than_a_period_is_refused():
+    with pytest.raises(CandataError, match="max_gap_periods"):
+        ImportRecipe.parse({"episode": "e", "max_gap_periods": 0.5}, "options")

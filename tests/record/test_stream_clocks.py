@@ -52,7 +52,7 @@ def true_s(stream, found):
 @pytest.mark.parametrize(("late_s", "drift_ppm"), [(0.0, 0.0), (0.3, 0.0), (-0.12, 0.0), (0.05, 2000.0)])
 def test_offset_and_drift_are_found_by_motion(late_s, drift_ppm):
     late = tracker(late_s, drift_ppm)
-    (_, found), (clock,) = set_clocks([hand(0.0), late])
+    (_, found), (clock,) = set_clocks([hand(0.0), late], by_motion=True)
     assert clock.method == "motion"
     assert clock.offset_s == pytest.approx(late_s, abs=0.01)
     assert clock.windows >= 3
@@ -72,14 +72,14 @@ def test_many_recordings_are_aligned_and_none_that_share_no_motion():
         late = tracker(
             np.random.default_rng(seed).uniform(-0.8, 0.8), 50.0, lambda s, k=seed: motion(s, 100 + k), 60, 1e-3
         )
-        (_, found), (clock,) = set_clocks([hand(0.0, lambda s, k=seed: motion(s, 100 + k)), late])
+        (_, found), (clock,) = set_clocks([hand(0.0, lambda s, k=seed: motion(s, 100 + k)), late], by_motion=True)
         assert clock.method == "motion"
         worst_s.append(true_s(late, found))
     assert max(worst_s) < 0.008
     fitted = 0
     for seed in range(200, 500):
         pair = [hand(0.0, lambda s, k=seed: motion(s, k)), tracker(moves=lambda s, k=seed: motion(s, 300 + k))]
-        fitted += set_clocks(pair)[1][0].method == "motion"
+        fitted += set_clocks(pair, by_motion=True)[1][0].method == "motion"
     assert fitted == 0
 
 
@@ -101,7 +101,7 @@ def still(seconds):
 )
 def test_what_does_not_tell_leaves_the_stamps_and_says_why(hand_moves, pose_moves, words):
     late = tracker(0.2, moves=pose_moves)
-    (_, found), (clock,) = set_clocks([hand(0.0, hand_moves), late])
+    (_, found), (clock,) = set_clocks([hand(0.0, hand_moves), late], by_motion=True)
     assert clock.method == "stamps"
     assert words in clock.reason
     assert (clock.offset_s, clock.drift_ppm) == (0.0, 0.0)
@@ -111,7 +111,7 @@ def test_what_does_not_tell_leaves_the_stamps_and_says_why(hand_moves, pose_move
 def test_a_clock_that_steps_in_the_middle_is_refused():
     late = tracker()
     stepped = replace(late, time_ns=late.time_ns + np.where(np.arange(len(late.time_ns)) > 450, 400_000_000, 0))
-    _, (clock,) = set_clocks([hand(0.0), stepped])
+    _, (clock,) = set_clocks([hand(0.0), stepped], by_motion=True)
     assert clock.method == "stamps"
     assert "windows disagree" in clock.reason
 
@@ -127,7 +127,7 @@ def device_stream(device_s):
 def test_a_devices_own_clock_takes_off_jitter_and_drift():
     time_s = np.arange(0, 60.0, 1 / POSE_HZ)
     stream, sent_ns = device_stream(12.0 + time_s * (1 + 100e-6))
-    (_, found), (clock,) = set_clocks([hand(0.0), stream])
+    (_, found), (clock,) = set_clocks([hand(0.0), stream], by_motion=True)
     assert clock.method == "device_clock"
     assert clock.drift_ppm == pytest.approx(100, abs=30)  # 20 ms of jitter over a minute
     off_s = (found.time_ns - sent_ns) * 1e-9
@@ -139,11 +139,47 @@ def test_a_devices_own_clock_takes_off_jitter_and_drift():
 def test_a_devices_clock_that_steps_back_is_found_and_motion_tells_instead():
     time_s = np.arange(0, 60.0, 1 / POSE_HZ)
     stream, _ = device_stream(np.where(time_s > 30, time_s - 20, time_s))
-    _, (clock,) = set_clocks([hand(0.0), stream])
+    _, (clock,) = set_clocks([hand(0.0), stream], by_motion=True)
     assert clock.method == "motion"
-    _, (clock,) = set_clocks([hand(0.0, still), stream])
+    _, (clock,) = set_clocks([hand(0.0, still), stream], by_motion=True)
     assert clock.method == "stamps"
     assert "steps back 1 times, first at frame 451" in clock.reason
+
+
+@pytest.mark.parametrize(
+    ("device_s", "words"),
+    [
+        (lambda s: np.floor(s), "coarse"),
+        (lambda s: s + 0.4 * (s > 30), "steps or wanders"),
+        (lambda s: 1000 * s, "another unit"),
+    ],
+)
+def test_a_devices_clock_that_would_mislead_is_refused_and_the_stamps_stay(device_s, words):
+    stream, _ = device_stream(device_s(np.arange(0, 60.0, 1 / POSE_HZ)))
+    (_, found), (clock,) = set_clocks([hand(0.0), stream], by_motion=False)
+    assert clock.method == "stamps"
+    assert words in clock.reason
+    assert np.array_equal(found.time_ns, stream.time_ns)
+
+
+def test_jitter_of_arrival_makes_no_gap_where_a_device_has_a_clock_and_a_lost_frame_does():
+    log = make_log(10.0)
+    time_s = np.delete(np.arange(0, 10.0, 1 / 200), [1000, 1001])
+    delay_s = np.random.default_rng(4).exponential(0.004, len(time_s))
+    heard_ns = stamps(np.maximum.accumulate(time_s + delay_s))
+    values = np.sin(time_s)[:, None]
+    arm = RecordedStream("joint_position", ("w0",), heard_ns, values, "/arm", np.round(time_s * 1e9).astype(np.int64))
+    plain = import_log("run.mcap", log, RECIPE, [beside(arm)])
+    (clock,) = plain.episode.meta.alignment.streams
+    assert (clock.stream, clock.method) == ("/arm", "device_clock")
+    at_s = (plain.episode["time_ns"] - START) * 1e-9
+    invalid_s = at_s[~plain.episode.valid("joint_position")]
+    assert 1 <= len(invalid_s) <= 2
+    assert np.abs(invalid_s - 5.0).max() < 0.02
+    by_stamps = import_log("run.mcap", log, RECIPE.model_copy(update={"align": "stamps"}), [beside(arm)])
+    assert by_stamps.episode.meta.alignment.streams == ()
+    assert by_stamps.digest != plain.digest
+    assert (~by_stamps.episode.valid("joint_position")).sum() > 50
 
 
 def test_an_import_by_clocks_keeps_how_and_bridges_no_gap_of_the_poses():
@@ -170,4 +206,3 @@ def test_an_import_by_clocks_keeps_how_and_bridges_no_gap_of_the_poses():
     plain = import_log("run.mcap", log, RECIPE, [beside(poses)])
     assert plain.episode.meta.alignment.streams == ()
     assert plain.digest != imported.digest
-    assert "align" not in plain.details["recipe"]
