@@ -147,6 +147,18 @@ def test_bounds_are_those_of_the_recordings(feed, scene, data):
     assert np.allclose(bounds.step, np.max(steps, axis=0), rtol=1e-5)
 
 
+def test_a_jump_over_missing_rows_is_no_step_that_may_be_played(feed, scene):
+    cache, bounds = feed.cache, command_bounds(scene, feed)
+    rows, stretch, valid = cache.rows.copy(), cache.stretch.copy(), cache.valid.copy()
+    rows["action"][cache.begin[0] + 5 : cache.end[0]] += 1.0
+    stretch[cache.begin[0] + 5 : cache.end[0]] += 1
+    broken = replace(feed, cache=replace(cache, rows=rows, stretch=stretch))
+    assert np.allclose(command_bounds(scene, broken).step, bounds.step, atol=1e-5)
+    valid[cache.begin[0] + 5] = False
+    unknown = replace(feed, cache=replace(cache, rows=rows, valid=valid))
+    assert np.allclose(command_bounds(scene, unknown).step, bounds.step, atol=1e-5)
+
+
 def test_rows_of_chunks_are_recorded_up_to_the_start_and_simulated_behind(starts, nominal, data):
     rows = rows_of(starts, nominal, starts.recorded(ROWS))
     recorded = next(iter(open_dataset(data).episodes())).arrays
