@@ -37,7 +37,8 @@ class LearnedWorld:
     """A trained model as a world; see `candata.policy_evaluation.contract.World`.
 
     A planned policy's commands are known to the model as far as its horizon. A policy in a closed loop is asked row by
-    row: for the horizon its last command holds, and every model step is forecast anew.
+    row. Every model step is forecast anew, after the policy was asked at its first row: that command holds for the
+    horizon.
 
     Attributes
     ----------
@@ -117,25 +118,26 @@ class LearnedWorld:
         settle = round(orders.settle_s * self.scene.file.rate_hz)
         joints = self._planned_joints(policy, orders, starts, seed, duration_s, settle)
         episode_rows = self._begun_episodes(orders, starts, joints, settle)
-        rows = orders.commands.shape[1]
+        rows, stride = orders.commands.shape[1], episode_rows.stride
         loop = closed_loop(self.scene, self.name, policy.name, orders, starts, 0, lambda _place, readings: readings)
         execute = self.execute if loop is None else 1
         commands, contact = orders.commands.copy(), np.zeros((len(starts), rows))
         forecaster, spread, count = self._forecaster(episode_rows, starts), np.zeros(len(starts)), 0
-        for step in range(0, -(-rows // episode_rows.stride), execute):
+        for step in range(0, -(-rows // stride), execute):
+            if loop is not None:
+                self._act(loop, episode_rows, range(step * stride, step * stride + 1), commands, contact)
             forecast = forecaster.forecast(episode_rows.batch(step), (seed, step))
             steps = integrate(episode_rows.poses(step), forecast.increments[:, :, :execute])
             for k in range(execute):
                 chance = None if forecast.contact is None else forecast.contact[:, k]
                 episode_rows.write_step(step + k + 1, mean_pose(steps[:, :, k]), chance)
-                changed_row = (step + k) * episode_rows.stride + 1
-                contact[:, changed_row : changed_row + episode_rows.stride] = (
-                    np.nan if chance is None else chance[:, None]
-                )
+                changed_row = (step + k) * stride + 1
+                contact[:, changed_row : changed_row + stride] = np.nan if chance is None else chance[:, None]
                 spread += np.linalg.norm(steps[:, :, k, :3] - steps[:, :, k, :3].mean(0), axis=-1).mean(0)
                 count += 1
             if loop is not None:
-                self._act(loop, episode_rows, step, commands, contact)
+                between = range(step * stride + 1, min((step + 1) * stride, rows))
+                self._act(loop, episode_rows, between, commands, contact)
         if loop is not None:
             loop.check()
         part = slice(episode_rows.first_row, episode_rows.first_row + rows)
@@ -221,11 +223,10 @@ class LearnedWorld:
         return replace(self.forecaster, simulator=replace(simulator, windows=episode_rows.windows, scenes=scenes))
 
     def _act(
-        self, loop: ClosedLoop, episode_rows: ImaginedEpisodes, step: int, commands: Array, contact: Array
+        self, loop: ClosedLoop, episode_rows: ImaginedEpisodes, rows: range, commands: Array, contact: Array
     ) -> None:
-        """Let policies act at the rows of one model step: they see the forecast, and joints follow row by row."""
-        rows = commands.shape[1]
-        for row in range(step * episode_rows.stride, min((step + 1) * episode_rows.stride, rows)):
+        """Let policies act at some rows: they see the forecast, and joints follow row by row."""
+        for row in rows:
             place = episode_rows.first_row + row
             readings = {
                 name: episode_rows.rows[name][:, place].astype(np.float64)

@@ -143,6 +143,14 @@ def test_a_policy_sees_the_forecast_of_pose_and_contact(gripper, starts, learned
     assert played.commands[0, -1].max() > played.commands[0, 0].max()
 
 
+def test_the_first_command_of_a_policy_acts_in_the_first_step_of_a_model(gripper, starts, learned):
+    middle = gripper.model.actuator_ctrlrange[gripper.actuator_ids].mean(1)
+    world = learned(0.1)
+    played = world.play(closed(lambda scene, rng: lambda observation: middle), starts.take([0]), 1, 0.3)
+    stride = round(gripper.file.rate_hz / world.windows.rate_hz)
+    assert played.object_pose[0, stride, 2] - played.object_pose[0, 0, 2] == pytest.approx(0.01, abs=1e-6)
+
+
 def test_a_channel_that_a_world_lacks_is_named(starts, learned):
     policy = closed(lambda scene, rng: lambda observation: observation.readings["fingertip_force"][0])
     with pytest.raises(DataError, match="reads a channel that the world model lacks") as error:
