@@ -36,7 +36,7 @@ def least_near_best(errors: NDArray[np.float64]) -> int:
     The standard error is that of the paired differences from the best row. Source: the one-standard-error rule of L.
     Breiman et al., "Classification and Regression Trees", 1984, section 3.4.3.
     """
-    finite = np.isfinite(errors).all(1)
+    finite = np.asarray(np.isfinite(errors).all(1))
     known = np.where(finite[:, None], errors, 0.0)
     best = int(np.where(finite, known.mean(1), np.inf).argmin())
     differences = known - known[best]
