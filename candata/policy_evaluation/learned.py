@@ -19,7 +19,7 @@ from candata.scenes import Scene
 from candata.simulate.closed_loop import ClosedLoop
 from candata.simulate.outcome import ObjectMotion, object_motion, outcome
 from candata.training.episode_scenes import EpisodeScenes
-from candata.training.forecasters import TrainedModel
+from candata.training.forecasters import NOISE_NUMBERS, TrainedModel
 from candata.training.poses import mean_pose
 from candata.training.rollout import CONTACT_THRESHOLD
 from candata.training.servo_lag import ServoLags
@@ -126,7 +126,8 @@ class LearnedWorld:
         for step in range(0, -(-rows // stride), execute):
             if loop is not None:
                 self._act(loop, episode_rows, range(step * stride, step * stride + 1), commands, contact)
-            forecast = forecaster.forecast(episode_rows.batch(step), (seed, step))
+            batch = episode_rows.batch(step) | {NOISE_NUMBERS: starts.numbers}
+            forecast = forecaster.forecast(batch, (seed, step))
             steps = integrate(episode_rows.poses(step), forecast.increments[:, :, :execute])
             for k in range(execute):
                 chance = None if forecast.contact is None else forecast.contact[:, k]
