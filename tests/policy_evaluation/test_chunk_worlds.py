@@ -283,6 +283,13 @@ def test_a_file_of_another_kind_is_refused_before_anything_is_computed(tmp_path)
     assert "a .safetensors file" in refused.err
 
 
+@pytest.mark.parametrize("command", ["filter", "refine"])
+def test_a_repair_that_would_change_nothing_is_refused(command, tmp_path):
+    refused = run("policy", command, "no run", "no data", "--effects", tmp_path / "effects.yaml")
+    assert refused.code == 2
+    assert "the repaired simulator has nothing to do" in refused.err
+
+
 def test_a_model_that_does_not_read_the_plan_is_refused(data, tmp_path):
     folder = tmp_path / "blind"
     assert train(data, folder, "{width: 8, layers: 1, planned_actions: false}").code == 0
