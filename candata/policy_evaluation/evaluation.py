@@ -225,9 +225,14 @@ def _seen(
     recorded_flags: Array,
     has_withheld: bool,
 ) -> tuple[str | None, Array]:
-    """Return what counts as seen and its name: the stand-in where there is one, else recordings, else nothing."""
+    """Return what counts as seen and its name: the stand-in where there is one, else recordings, else nothing.
+
+    What became unstable in the stand-in is not known.
+    """
     if has_withheld:
-        return WITHHELD, _success(policies, plays, WITHHELD)
+        failed = np.array([plays[policy.name, WITHHELD].failed for policy in policies])
+        seen_success = np.where(failed, np.nan, _success(policies, plays, WITHHELD))
+        return (WITHHELD if np.isfinite(seen_success).any() else None), seen_success
     return (RECORDINGS if np.isfinite(recorded_flags).any() else None), recorded_flags
 
 
@@ -273,7 +278,7 @@ def _evaluation(
     names = tuple(policy.name for policy in findings.policies)
     world_names = tuple(world.name for world in findings.worlds)
     return PolicyEvaluation(
-        headline=headline(top_ranking, margin, findings.seen_name, world_names),
+        headline=headline(top_ranking, margin, findings.seen_success, world_names),
         dataset=f"{dataset.name}@{dataset.digest[:12]}",
         split=held_out.split,
         group=settings.group,
@@ -298,7 +303,7 @@ def _evaluation(
             findings.starts,
             top_ranking.world if top_ranking is not None else world_names[-1],
         ),
-        notes=(*notes, *_notes(findings)),
+        notes=(*notes, *_notes(findings, settings.goal, settings.duration_s)),
         revision=__version__,
     )
 
@@ -358,16 +363,21 @@ def _score(policy: str, world: str, plays: Played) -> PolicyScore:
     )
 
 
-def _notes(findings: _Findings) -> tuple[str, ...]:
+def _notes(findings: _Findings, goal: str | None, duration_s: float) -> tuple[str, ...]:
     """Return what a reader must know."""
     notes = []
-    for world in findings.worlds:
+    for world in (*findings.worlds, *findings.seen_world):
         results = [findings.plays[policy.name, world.name] for policy in findings.policies]
         if any(np.isnan(result.contact).any() for result in results):
             notes.append(f"{world.name} forecasts no contact: slips and drops are not told there")
         unstable = sum(int(result.failed.sum()) for result in results)
         if unstable:
             notes.append(f"{unstable} simulations of {world.name} became unstable")
+    if findings.seen_name == RECORDINGS:
+        notes.append(
+            f"recordings count as their `outcome` says: it must be of {goal or 'what each policy means'} within "
+            f"{duration_s:g} s, as it is in the worlds"
+        )
     if findings.seen_name is None:
         notes.append("the data set holds no recording of these policies from these starts: no world can be judged")
     return tuple(notes)

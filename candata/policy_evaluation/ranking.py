@@ -133,13 +133,30 @@ def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
 
 
 def headline(
-    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: str | None, worlds: Sequence[str]
+    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: Array, worlds: Sequence[str]
 ) -> str:
-    """Return the first line: which world predicts policies best, and by how much."""
-    if seen_success is None:
+    """Return the first line: which world predicts policies best, and by how much.
+
+    Parameters
+    ----------
+    top_ranking : WorldRanking or None
+        Of the best world; None where none has a rank correlation.
+    margin : Interval or None
+        How far it is ahead of the nominal simulator.
+    seen_success : (P, n) float64
+        What was seen of each policy from each start; NaN where nothing was.
+    worlds : sequence of str
+        Names of those that predict.
+    """
+    seen_rates = rates(seen_success)
+    seen_rates = seen_rates[np.isfinite(seen_rates)]
+    if not len(seen_rates):
         return f"No world can be judged: nothing was seen of these policies. Predicted in {', '.join(worlds)}"
+    if len(seen_rates) == 1:
+        return "No world can be ranked: one policy alone was seen"
     if top_ranking is None:
-        return "No world can be ranked: all policies succeed alike"
+        where = "as they were seen" if np.ptp(seen_rates) == 0 else f"in {' and in '.join(worlds)}"
+        return f"No world can be ranked: all policies succeed alike {where}"
     words = f"{top_ranking.world} predicts policies best: rank correlation {top_ranking.spearman.value:.2f}"
     if len(worlds) == 1:
         return f"{words}; no other world was compared"

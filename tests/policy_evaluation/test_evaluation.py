@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,10 +14,12 @@ from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import UsageError
 from candata.loaders import make_split, save_split
 from candata.policies import read_motions
+from candata.policy_evaluation import evaluation as evaluation_module
 from candata.policy_evaluation.attribution import effect_share
 from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evaluate_policies
 from candata.policy_evaluation.policies import read_policies
 from candata.policy_evaluation.seen import Withheld, recorded_success, withheld_effects
+from candata.policy_evaluation.simulated import SimulatedWorld
 from candata.reports.policy_evaluation import NEXT_MOTION, summary, write_policy_evaluation
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
@@ -108,7 +110,26 @@ def test_recordings_are_what_was_seen(recorded, policies):
     evaluation, _ = evaluate_policies([], recorded, file, replace(SETTINGS, starts=2))
     (ranking,) = evaluation.rankings
     assert (evaluation.seen, ranking.policies, ranking.agreement) == ("recordings", 1, 1.0)
-    assert evaluation.headline == "No world can be ranked: all policies succeed alike"
+    assert evaluation.headline == "No world can be ranked: one policy alone was seen"
+    assert any("their `outcome`" in note and "within 1.6 s" in note for note in evaluation.notes)
+
+
+@dataclass(frozen=True)
+class Unstable(SimulatedWorld):
+    """A world in which every simulation from the first start becomes unstable."""
+
+    def play(self, policy, starts, seed, duration_s):
+        made = super().play(policy, starts, seed, duration_s)
+        return replace(made, failed=np.arange(len(starts)) == 0)
+
+
+def test_what_became_unstable_in_the_stand_in_was_not_seen(recorded, policies, monkeypatch):
+    monkeypatch.setattr(evaluation_module, "SimulatedWorld", Unstable)
+    settings = replace(SETTINGS, starts=2, duration_s=0.5, goal="lift", withheld=Withheld((SLIPPERY,)))
+    evaluation, _ = evaluate_policies([], recorded, policies(GRASP, PUSH), settings)
+    assert [ranking.pairs for ranking in evaluation.rankings] == [2]  # the other start of two policies
+    assert "2 simulations of withheld became unstable" in evaluation.notes
+    assert evaluation.headline == "No world can be ranked: all policies succeed alike as they were seen"
 
 
 def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_without_it():
@@ -116,6 +137,8 @@ def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_wi
     nominal, repaired = np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([[0.0, 0.0, 0.0, 0.0]])
     share = effect_share("e", seen, nominal, repaired, np.array([[1.0, 0.0, 1.0, 1.0]]))
     assert (share.explained, share.wrong, share.broken, share.share) == (1, 2, 1, 0.5)
+    halves = np.full((1, 4), 0.5)  # repeats that ended either way make no prediction wrong
+    assert effect_share("e", halves, nominal, repaired, repaired).wrong == 0
 
 
 def test_a_policy_without_a_goal_is_asked_for_one(recorded, policies, tmp_path):
