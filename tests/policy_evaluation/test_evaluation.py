@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import dataclass, replace
 
@@ -20,7 +21,7 @@ from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evalu
 from candata.policy_evaluation.policies import read_policies
 from candata.policy_evaluation.seen import Withheld, recorded_success, withheld_effects
 from candata.policy_evaluation.simulated import SimulatedWorld
-from candata.reports.policy_evaluation import NEXT_MOTION, summary, write_policy_evaluation
+from candata.reports.policy_evaluation import NEXT_MOTION, ranking_figure, summary, write_policy_evaluation
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
@@ -87,6 +88,15 @@ def test_the_page_and_the_summary_say_first_which_world_is_best(found, written):
     assert text.index("Predicted and seen") < text.index("The worst disagreement")
     assert text.count("<img") == 5 * 3  # nominal, repaired, withheld
     assert NEXT_MOTION in text
+
+
+def test_no_mark_of_the_ranking_hides_another(found):
+    evaluation, _ = found
+    figure = str(ranking_figure(evaluation))
+    dots = re.findall(r'<path d="M(\d+) (\d+)h0"><title>([^:]*): \d+ % in (\w+), (\d+) %', figure)
+    assert len({int(x) for x, _, _, _, _ in dots}) == len(dots) == 3 * 2
+    order = [int(seen) for _, _, _, _, seen in sorted(dots, key=lambda dot: int(dot[0]))]
+    assert order == sorted(order)  # to the right more success was seen
 
 
 def test_recordings_of_a_policy_count_for_its_name_and_start(recorded, gripper, starts, policies):
