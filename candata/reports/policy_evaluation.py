@@ -35,15 +35,20 @@ RANKING_HEAD = ("world", "rank correlation", "MMRV", "mean error", "bias", "with
 def write_policy_evaluation(evaluation: PolicyEvaluation, exhibit: Exhibit | None, out: Path) -> Path:
     """Return the path of `policies.html` after writing it, `policies.json` and the next motion into `out`.
 
+    The page comes last. A next motion of an earlier evaluation goes.
+
     Raises
     ------
     SetupError
         When the folder cannot be written.
     """
-    write_text(out / "policies.html", page(evaluation, exhibit))
-    write_text(out / "policies.json", evaluation.model_dump_json(indent=2) + "\n")
-    if exhibit is not None:
+    text = page(evaluation, exhibit)
+    if exhibit is None:
+        (out / NEXT_MOTION).unlink(missing_ok=True)
+    else:
         write_motions(out / NEXT_MOTION, exhibit.scene, [exhibit.motion])
+    write_text(out / "policies.json", evaluation.model_dump_json(indent=2) + "\n")
+    write_text(out / "policies.html", text)
     return out / "policies.html"
 
 

@@ -90,6 +90,13 @@ def test_the_page_and_the_summary_say_first_which_world_is_best(found, written):
     assert NEXT_MOTION in text
 
 
+def test_a_motion_that_an_earlier_evaluation_proposed_goes(found, tmp_path):
+    write_policy_evaluation(*found, tmp_path)
+    assert (tmp_path / NEXT_MOTION).is_file()
+    write_policy_evaluation(found[0].model_copy(update={"next_motion": None}), None, tmp_path)
+    assert not (tmp_path / NEXT_MOTION).exists()
+
+
 def test_no_mark_of_the_ranking_hides_another(found):
     evaluation, _ = found
     figure = str(ranking_figure(evaluation))
