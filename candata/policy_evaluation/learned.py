@@ -113,6 +113,8 @@ class LearnedWorld:
         ------
         DataError
             When the policy fails, or a start is of no episode that the model's windows hold.
+        UsageError
+            When a goal is told by contact, and the model forecasts none.
         """
         orders = policy.orders(self.scene, starts, seed, duration_s)
         settle = round(orders.settle_s * self.scene.file.rate_hz)
@@ -141,6 +143,8 @@ class LearnedWorld:
                 self._act(loop, episode_rows, between, commands, contact)
         if loop is not None:
             loop.check()
+        if np.isnan(contact).any():
+            self._refuse_goals_of_contact(orders)
         part = slice(episode_rows.first_row, episode_rows.first_row + rows)
         poses = episode_rows.rows["object_pose"][:, part].astype(np.float64)
         moved_joints = self._joint_rows(episode_rows, part, starts)
@@ -157,6 +161,16 @@ class LearnedWorld:
             spread / max(count, 1) if forecaster.samples > 1 else None,
             np.zeros(len(starts), bool),
         )
+
+    def _refuse_goals_of_contact(self, orders: Orders) -> None:
+        """Refuse goals that are reached only while the hand touches, where no contact is forecast."""
+        if any(goal is not None and (goal.turn_rad > 0 or goal.slip) for goal in orders.goals):
+            raise UsageError(
+                f"{self.name} forecasts no contact, without which no turn in the hand and no slip is a success",
+                expected="goals that poses alone tell: a lift, a place or a topple",
+                found="a turn" if any(goal is not None and goal.turn_rad > 0 for goal in orders.goals) else "a slip",
+                fix="leave this world out, or the policies that mean so",
+            )
 
     def _motion(self, poses: Array, contact: Array) -> ObjectMotion:
         """Return the motion that an outcome is told from; contact stands for the press of every fingertip."""

@@ -116,6 +116,15 @@ def test_a_learned_world_moves_the_object_as_forecast_and_joints_by_their_lag(gr
     assert "joints by a servo lag" in learned(0.1).summary
 
 
+@pytest.mark.parametrize("goal", [Goal(turn_rad=0.1), Goal(lift_m=0.02, slip=True)], ids=["turn", "slip"])
+def test_a_goal_that_contact_tells_is_refused_where_none_is_forecast(goal, starts, learned):
+    middle = np.zeros((len(starts), 10, len(learned(0.0).windows.actuator_names)))
+    policy = GivenCommands("still", middle, goal)
+    with pytest.raises(UsageError, match="forecasts no contact"):
+        learned(0.0, contact=None).play(policy, starts, 1, 0.2)
+    assert learned(0.0).play(policy, starts, 1, 0.2).outcomes  # with contact it is told
+
+
 def test_joints_of_planned_commands_may_be_those_of_the_nominal_simulator(gripper, starts, policies, learned):
     (grasp,) = read_policies(policies({"name": "g", "source": "grasp_lift_shake"}), gripper)
     simulated = SimulatedWorld("nominal", gripper).play(grasp, starts, 1, 0.5)
