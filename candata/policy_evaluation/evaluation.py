@@ -16,7 +16,7 @@ from candata.errors import UsageError, Where
 from candata.policies import Motion
 from candata.policy_evaluation.attribution import disagreement, effect_share, next_motion
 from candata.policy_evaluation.contract import Played, RealStarts, World
-from candata.policy_evaluation.goals import parsed_goal
+from candata.policy_evaluation.goals import check_held, parsed_goal
 from candata.policy_evaluation.policies import EvaluatedPolicy, read_policies
 from candata.policy_evaluation.ranking import best_ranking, headline, lead, wilson, world_ranking
 from candata.policy_evaluation.results import (
@@ -143,9 +143,12 @@ def evaluate_policies(
     CandataError
         As `held_out_episodes`, `read_policies`, `real_starts` and `World.play`.
     """
+    if not np.isfinite(settings.duration_s):
+        raise UsageError("--duration-s is no length", expected="seconds", found=f"{settings.duration_s:g}")
+    goal = None if settings.goal is None else parsed_goal(settings.goal)
+    check_held(goal, settings.duration_s)
     stage("reading the recordings")
     held_out = held_out_episodes(runs, dataset, settings.group, settings.scene, settings.models, settings.threads)
-    goal = None if settings.goal is None else parsed_goal(settings.goal)
     policies = read_policies(policies_file, held_out.scene, goal)
     starts, notes = real_starts(held_out.scene, dataset, held_out.ids, settings.starts, settings.threads)
     worlds: tuple[World, ...] = (

@@ -277,6 +277,17 @@ def test_a_chunk_longer_than_the_model_can_roll_is_refused(trained, data):
     assert "at most 1.6 s" in refused.err
 
 
+@pytest.mark.parametrize(("option", "value", "words"), [("--chunk", "nan", "no time"), ("--at", "inf", "no time")])
+def test_a_time_that_is_no_number_is_refused(option, value, words, trained, data):
+    refused = run("policy", "filter", trained, data, option, value)
+    assert refused.code == 2
+    assert words in refused.err
+
+
+def test_a_chunk_of_no_length_is_refused(trained, data):
+    assert "a chunk is too short" in run("policy", "filter", trained, data, "--chunk", 0).err
+
+
 def test_a_file_of_another_kind_is_refused_before_anything_is_computed(tmp_path):
     refused = run("policy", "refine", "no run", "no data", "--out", tmp_path / "policy.onnx")
     assert refused.code == 2
