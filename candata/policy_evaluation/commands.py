@@ -57,7 +57,14 @@ class CommandBounds:
         """Return smooth noise `(*count, rows, A)`: straight between knots, zero before the first step.
 
         `share` is the standard deviation at a knot, in that of the recorded commands.
+
+        Raises
+        ------
+        UsageError
+            When it is not finite.
         """
+        if not np.isfinite(share):
+            raise UsageError("the noise of commands is no number", expected="a finite share", found=f"{share:g}")
         time_s = np.arange(1, rows + 1) / self.rate_hz
         knots = max(1, int(np.ceil(time_s[-1] / KNOT_S - 1e-9)))
         heights = rng.standard_normal((*count, knots, len(self.names)))
