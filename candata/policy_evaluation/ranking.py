@@ -97,7 +97,7 @@ def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) 
         world=world,
         policies=int(known_rows.sum()),
         pairs=int(np.isfinite(paired_success).sum()),
-        spearman=_interval(float(spearman(rate, truth)), drawn_values),
+        spearman=_interval(float(spearman(rate, truth)), drawn_values, 1.0),
         mmrv=mean_rank_violation(rate, truth),
         mean_error=float(np.abs(rate - truth).mean()),
         bias=float((rate - truth).mean()),
@@ -106,19 +106,23 @@ def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) 
     ), drawn_values
 
 
-def _interval(value: float, drawn_values: Array) -> Interval:
-    """Return a value with the central interval of its resamples; NaN ends where none has a value."""
-    finite = drawn_values[np.isfinite(drawn_values)]
-    if not len(finite):
+def _interval(value: float, drawn_values: Array, most: float) -> Interval:
+    """Return a value with the central interval of its resamples; NaN ends where it has none.
+
+    A resample in which all succeed alike has no order, and could be anything from `-most` to `most`: it counts as the
+    one for the lower end and as the other for the upper.
+    """
+    if not np.isfinite(value):
         return Interval(value=value, low=float("nan"), high=float("nan"))
-    tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(finite, [tail, 100 - tail])
+    tail, is_known = 100 * (1 - CONFIDENCE) / 2, np.isfinite(drawn_values)
+    low = np.percentile(np.where(is_known, drawn_values, -most), tail)
+    high = np.percentile(np.where(is_known, drawn_values, most), 100 - tail)
     return Interval(value=value, low=float(low), high=float(high))
 
 
 def lead(best_draws: Array, other_draws: Array, value: float) -> Interval:
     """Return by how much a rank correlation is above another, with the interval of paired resamples."""
-    return _interval(value, best_draws - other_draws)
+    return _interval(value, best_draws - other_draws, 2.0)
 
 
 def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
