@@ -149,6 +149,8 @@ def evaluate_policies(
     check_held(goal, settings.duration_s)
     stage("reading the recordings")
     held_out = held_out_episodes(runs, dataset, settings.group, settings.scene, settings.models, settings.threads)
+    if settings.withheld is not None:
+        settings.withheld.check(held_out.scene)
     policies = read_policies(policies_file, held_out.scene, goal)
     starts, notes = real_starts(held_out.scene, dataset, held_out.ids, settings.starts, settings.threads)
     worlds: tuple[World, ...] = (
@@ -159,7 +161,6 @@ def evaluate_policies(
     recorded_flags = recorded_success(dataset, policies, starts)
     seen_world: tuple[World, ...] = ()
     if settings.withheld is not None:
-        settings.withheld.check(held_out.scene)
         seen_world = (SimulatedWorld(WITHHELD, held_out.scene, settings.withheld.effects, settings.threads),)
         plays |= play_all(policies, seen_world, starts, settings, stage)
     seen_name, seen_success = _seen(policies, plays, recorded_flags, settings.withheld is not None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,18 @@ JointsFrom = Literal["servo", "simulator"]
 SEEN_CHANNELS: tuple[str, ...] = ("object_pose", "joint_position")
 #: Channels that a learned world can make of its own forecasts, of commands and of servos.
 MADE_CHANNELS = ("object_pose", "joint_position", "action", "contact")
+
+
+def check_joints(joints: str) -> None:
+    """Refuse an origin of joints that is not known.
+
+    Raises
+    ------
+    UnknownNameError
+        When it is not.
+    """
+    if joints not in get_args(JointsFrom):
+        raise UnknownNameError("origin of joints", joints, get_args(JointsFrom))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +80,7 @@ class LearnedWorld:
 
     def __post_init__(self) -> None:
         """Refuse a model that reads what no forecast gives, or steps that the rows do not fit."""
-        if self.joints not in ("servo", "simulator"):
-            raise UnknownNameError("origin of joints", self.joints, ("servo", "simulator"))
+        check_joints(self.joints)
         lacking_channels = [name for name in self.windows.channels if name not in MADE_CHANNELS]
         if lacking_channels or "action" not in self.windows.channels:
             raise UsageError(

@@ -12,7 +12,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.loaders import find_split
 from candata.loaders.splits import group_ids
 from candata.policy_evaluation.contract import World
-from candata.policy_evaluation.learned import JointsFrom, LearnedWorld
+from candata.policy_evaluation.learned import JointsFrom, LearnedWorld, check_joints
 from candata.policy_evaluation.simulated import SimulatedWorld
 from candata.scenes import Scene, load_scene
 from candata.scenes.recorded_names import builtin_scene
@@ -43,6 +43,10 @@ class ModelSettings:
     execute: int | None = None
     joints: JointsFrom = "servo"
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuse another origin of joints, also where no model takes part."""
+        check_joints(self.joints)
 
 
 @dataclass(frozen=True)

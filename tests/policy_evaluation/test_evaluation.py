@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from candata.datasets import append, create_dataset, open_dataset
-from candata.errors import UsageError
+from candata.errors import UnknownNameError, UsageError
 from candata.loaders import make_split, save_split
 from candata.policies import read_motions
 from candata.policy_evaluation import evaluation as evaluation_module
@@ -21,6 +21,7 @@ from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evalu
 from candata.policy_evaluation.policies import read_policies
 from candata.policy_evaluation.seen import Withheld, recorded_success, withheld_effects
 from candata.policy_evaluation.simulated import SimulatedWorld
+from candata.policy_evaluation.worlds import ModelSettings
 from candata.reports.policy_evaluation import NEXT_MOTION, ranking_figure, summary, write_policy_evaluation
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
@@ -167,6 +168,11 @@ def test_a_policy_without_a_goal_is_asked_for_one(recorded, policies, tmp_path):
     evaluation, _ = evaluate_policies([], recorded, file, replace(settings, goal="lift"))
     assert evaluation.scores[0].outcomes == {"miss": 2}
     assert evaluation.policies["still"].kind == "closed loop"
+
+
+def test_an_unknown_origin_of_joints_is_refused_without_a_run_too():
+    with pytest.raises(UnknownNameError, match="origin of joints"):
+        ModelSettings(joints="motor")
 
 
 def test_a_seal_of_another_scene_is_refused(gripper):
