@@ -143,8 +143,6 @@ def evaluate_policies(
     CandataError
         As `held_out_episodes`, `read_policies`, `real_starts` and `World.play`.
     """
-    if not np.isfinite(settings.duration_s):
-        raise UsageError("--duration-s is no length", expected="seconds", found=f"{settings.duration_s:g}")
     goal = None if settings.goal is None else parsed_goal(settings.goal)
     check_held(goal, settings.duration_s)
     stage("reading the recordings")
@@ -229,10 +227,7 @@ def _seen(
     recorded_flags: Array,
     has_withheld: bool,
 ) -> tuple[str | None, Array]:
-    """Return what counts as seen and its name: the stand-in where there is one, else recordings, else nothing.
-
-    What became unstable in the stand-in is not known.
-    """
+    """Return what counts as seen and its name: the stand-in where there is one and it is stable, else recordings."""
     if has_withheld:
         failed = np.array([plays[policy.name, WITHHELD].failed for policy in policies])
         seen_success = np.where(failed, np.nan, _success(policies, plays, WITHHELD))

@@ -55,13 +55,15 @@ def parsed_goal(text: str) -> Goal:
 
 
 def check_held(goal: Goal | None, duration_s: float) -> None:
-    """Refuse a lift that must be held for longer than what is played.
+    """Refuse a length that is no number, and a lift that must be held for longer than what is played.
 
     Raises
     ------
     UsageError
-        When it is.
+        When it is so.
     """
+    if not np.isfinite(duration_s):
+        raise UsageError("what is played has no length", expected="seconds", found=f"{duration_s:g}")
     if goal is not None and goal.lift_m > 0 and goal.held_s > duration_s:
         raise UsageError(
             "the goal asks to hold for longer than what is played",

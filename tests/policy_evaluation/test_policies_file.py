@@ -77,3 +77,5 @@ def test_a_lift_that_is_held_for_longer_than_is_played_is_refused():
     check_held(parsed_goal("turn"), 0.1)
     with pytest.raises(UsageError, match="hold for longer than what is played"):
         check_held(parsed_goal("lift:0.02,5"), 1.6)
+    with pytest.raises(UsageError, match="no length"):
+        check_held(None, np.inf)
