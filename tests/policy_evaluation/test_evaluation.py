@@ -19,7 +19,7 @@ from candata.policy_evaluation import evaluation as evaluation_module
 from candata.policy_evaluation.attribution import effect_share
 from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evaluate_policies
 from candata.policy_evaluation.policies import read_policies
-from candata.policy_evaluation.seen import Withheld, recorded_success, withheld_effects
+from candata.policy_evaluation.seen import Withheld, recorded_success, recordings_from, withheld_effects
 from candata.policy_evaluation.simulated import SimulatedWorld
 from candata.policy_evaluation.worlds import ModelSettings
 from candata.reports.policy_evaluation import NEXT_MOTION, ranking_figure, summary, write_policy_evaluation
@@ -112,6 +112,17 @@ def test_recordings_of_a_policy_count_for_its_name_and_start(recorded, gripper, 
     success = recorded_success(recorded, chosen, starts)
     assert success[0].tolist() == [1.0] * len(starts)
     assert np.isnan(success[1]).all()
+
+
+def test_recordings_that_were_played_from_a_start_are_told_by_their_label(recorded, tmp_path):
+    folder = create_dataset(tmp_path / "again")
+    shutil.copytree(recorded.path / "objects", folder / "objects", dirs_exist_ok=True)
+    first, second = recorded.ids[:2]
+    episodes = list(recorded.episodes((first, second)))
+    labelled = episodes[1].meta.model_copy(update={"labels": {"start": first}})
+    append(folder, [episodes[0], Episode(labelled, dict(episodes[1].arrays))], Lineage(operation="test"))
+    assert recordings_from(open_dataset(folder), (first,)) == (second,)
+    assert recordings_from(open_dataset(folder), (second,)) == ()
 
 
 def test_without_anything_seen_the_repaired_world_is_the_measure_and_none_is_judged(recorded, policies):
