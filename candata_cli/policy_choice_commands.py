@@ -39,7 +39,10 @@ Steps = Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler
 SceneName = Annotated[
     str | None, typer.Option("--scene", metavar="SCENE", help="Of the simulators; else the episodes'.")
 ]
-Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="The repaired simulator takes part.")]
+Effects = Annotated[
+    Path | None,
+    typer.Option("--effects", metavar="FILE", help="The repaired simulator takes part, in the world of --withheld."),
+]
 WithheldFile = Annotated[
     Path | None,
     typer.Option(
@@ -96,6 +99,7 @@ def filter_commands(
     and of the simulators are played in that world, beside random choice.
     """
     _check_file(out, ".parquet", "--out")
+    _check_used(effects, withheld is not None, "--withheld, the world in which its choices are judged")
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
@@ -145,6 +149,8 @@ def refine_commands(
     _check_file(out, ".safetensors", "--out")
     _check_file(out and out.with_suffix(".json"), ".json", "--out")
     _check_file(chunks, ".parquet", "--chunks")
+    needs = "--withheld, the world in which its chunks are judged, or --out, whose policy learns from it"
+    _check_used(effects, withheld is not None or out is not None, needs)
     need_torch()
     set_threads(threads)
     from candata.policies import write_motions
@@ -178,6 +184,19 @@ def _check_file(path: Path | None, suffix: str, option: str) -> None:
 
         raise UsageError(f"{option} {path.name} has another suffix", expected=f"a {suffix} file")
     check_output(path, "file", option)
+
+
+def _check_used(effects: Path | None, is_used: bool, expected: str) -> None:
+    """Refuse a repaired simulator that would change nothing."""
+    if effects is not None and not is_used:
+        from candata.errors import UsageError
+
+        raise UsageError(
+            "the repaired simulator has nothing to do",
+            expected=expected,
+            found=f"--effects {effects} alone",
+            fix="add it, or leave --effects out",
+        )
 
 
 def _request(

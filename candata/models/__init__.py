@@ -13,6 +13,7 @@ _HOMES = {
     "HistoryConfig": "candata.models._config",
     "Share": "candata.models._sharing",
     "Reader": "candata.models._inputs",
+    "WindowGenerators": "candata.models._diffusion",
     "integers": "candata.models._diffusion",
     "normal": "candata.models._diffusion",
     "uniform": "candata.models._diffusion",

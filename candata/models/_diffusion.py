@@ -132,8 +132,27 @@ class Process:
         return x
 
 
+class WindowGenerators(torch.Generator):
+    """A generator of a batch of B windows with one for each: what a window draws does not depend on the others.
+
+    Attributes
+    ----------
+    each : tuple of B torch.Generator
+        Generators of the windows. What does not draw by `normal` draws from the batch's.
+    """
+
+    each: tuple[torch.Generator, ...] = ()
+
+
 def normal(shape: tuple[int, ...], template: Tensor, generator: torch.Generator) -> Tensor:
-    """Return standard normal numbers from `generator`, of the kind and on the device of `template`."""
+    """Return standard normal numbers from `generator`, of the kind and on the device of `template`.
+
+    Of `WindowGenerators` the rows are samples of each window in turn: row `m B + b` is sample m of window b.
+    """
+    if isinstance(generator, WindowGenerators) and shape[0] % len(generator.each) == 0:
+        window_shape = (shape[0] // len(generator.each), *shape[1:])
+        draws = [torch.randn(window_shape, generator=g, device=g.device, dtype=template.dtype) for g in generator.each]
+        return torch.stack(draws, dim=1).flatten(0, 1).to(template.device)
     draw = partial(torch.randn, generator=generator, device=generator.device, dtype=template.dtype)
     return draw_rows(draw, shape).to(template.device)
 

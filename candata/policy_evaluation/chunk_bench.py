@@ -18,6 +18,7 @@ from candata.policy_evaluation.candidates import Candidates, motion_candidates, 
 from candata.policy_evaluation.chunk_starts import ChunkStarts, chunk_starts
 from candata.policy_evaluation.chunk_worlds import ChunkWorld, simulated_world
 from candata.policy_evaluation.commands import CommandBounds, command_bounds
+from candata.policy_evaluation.goals import check_held
 from candata.policy_evaluation.seen import Withheld
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -158,6 +159,9 @@ def chunk_bench(
     CandataError
         As `candata.training.evaluate`.
     """
+    for option, value in (("--at", request.at_s), ("--chunk", request.chunk_s)):
+        if value is not None and not np.isfinite(value):
+            raise UsageError(f"{option} is no time", expected="seconds", found=f"{value:g}")
     settings = EvaluationSettings(samples=request.samples, steps=request.steps, seed=request.seed)
     evaluated = evaluated_runs.read_runs([run], None)
     (judge,) = evaluated
@@ -180,7 +184,7 @@ def chunk_bench(
     starts = chunk_starts(entrant.windows, request.starts, request.at_s)
     stride = int(starts.windows.stride[starts.windows.owner[0]])
     horizon_s = starts.windows.horizon / starts.windows.rate_hz
-    chunk_s = request.chunk_s or horizon_s
+    chunk_s = horizon_s if request.chunk_s is None else request.chunk_s
     rows = round(chunk_s * starts.windows.rate_hz * stride)
     if rows < 2 or chunk_s > horizon_s + 1e-9:
         raise UsageError(
@@ -189,6 +193,7 @@ def chunk_bench(
             found=f"{chunk_s:g} s",
             fix="give another --chunk, or train a model with a longer --horizon",
         )
+    check_held(request.goal, chunk_s)
     normaliser = Normaliser.model_validate(judge.run.normaliser)
     simulated = {NOMINAL: ()} | ({} if request.effects is None else {REPAIRED: request.effects})
     worlds = [simulated_world(name, starts, rows, request.scene, effects) for name, effects in simulated.items()]

@@ -31,7 +31,7 @@ class CommandBounds:
     limits : (A, 2) float64
         Smallest and largest command of the scene.
     step : (A,) float64
-        Largest change from one control step to the next in the training recordings.
+        Largest change from one control step to the next in the training recordings, not across missing rows.
     spread : (A,) float64
         Standard deviation of the commands in the training recordings.
     rate_hz : float
@@ -57,7 +57,14 @@ class CommandBounds:
         """Return smooth noise `(*count, rows, A)`: straight between knots, zero before the first step.
 
         `share` is the standard deviation at a knot, in that of the recorded commands.
+
+        Raises
+        ------
+        UsageError
+            When it is not finite.
         """
+        if not np.isfinite(share):
+            raise UsageError("the noise of commands is no number", expected="a finite share", found=f"{share:g}")
         time_s = np.arange(1, rows + 1) / self.rate_hz
         knots = max(1, int(np.ceil(time_s[-1] / KNOT_S - 1e-9)))
         heights = rng.standard_normal((*count, knots, len(self.names)))
@@ -120,8 +127,10 @@ def command_bounds(scene: Scene, windows: Windows) -> CommandBounds:
         raise DataError("no commands are recorded", expected="the channel action", where=Where(channel="action"))
     cache, steps, sums = windows.cache, [], []
     for episode in windows.fit_episodes.tolist():
-        commands = cache.rows["action"][cache.begin[episode] : cache.end[episode]].astype(np.float64)
-        steps.append(np.abs(np.diff(commands, axis=0)).max(0, initial=0.0))
+        part = slice(cache.begin[episode], cache.end[episode])
+        commands, valid = cache.rows["action"][part].astype(np.float64), cache.valid[part]
+        recorded = valid[1:] & valid[:-1] & (np.diff(cache.stretch[part]) == 0)
+        steps.append(np.abs(np.diff(commands, axis=0)[recorded]).max(0, initial=0.0))
         sums.append((len(commands), commands.sum(0), (commands**2).sum(0)))
     count, total, square = (sum(part) for part in zip(*sums, strict=True))
     spread = np.sqrt(np.maximum(square / count - (total / count) ** 2, 0.0))

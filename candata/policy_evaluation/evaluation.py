@@ -16,7 +16,7 @@ from candata.errors import UsageError, Where
 from candata.policies import Motion
 from candata.policy_evaluation.attribution import disagreement, effect_share, next_motion
 from candata.policy_evaluation.contract import Played, RealStarts, World
-from candata.policy_evaluation.goals import parsed_goal
+from candata.policy_evaluation.goals import check_held, parsed_goal
 from candata.policy_evaluation.policies import EvaluatedPolicy, read_policies
 from candata.policy_evaluation.ranking import best_ranking, headline, lead, wilson, world_ranking
 from candata.policy_evaluation.results import (
@@ -143,9 +143,12 @@ def evaluate_policies(
     CandataError
         As `held_out_episodes`, `read_policies`, `real_starts` and `World.play`.
     """
+    goal = None if settings.goal is None else parsed_goal(settings.goal)
+    check_held(goal, settings.duration_s)
     stage("reading the recordings")
     held_out = held_out_episodes(runs, dataset, settings.group, settings.scene, settings.models, settings.threads)
-    goal = None if settings.goal is None else parsed_goal(settings.goal)
+    if settings.withheld is not None:
+        settings.withheld.check(held_out.scene)
     policies = read_policies(policies_file, held_out.scene, goal)
     starts, notes = real_starts(held_out.scene, dataset, held_out.ids, settings.starts, settings.threads)
     worlds: tuple[World, ...] = (
@@ -156,7 +159,6 @@ def evaluate_policies(
     recorded_flags = recorded_success(dataset, policies, starts)
     seen_world: tuple[World, ...] = ()
     if settings.withheld is not None:
-        settings.withheld.check(held_out.scene)
         seen_world = (SimulatedWorld(WITHHELD, held_out.scene, settings.withheld.effects, settings.threads),)
         plays |= play_all(policies, seen_world, starts, settings, stage)
     seen_name, seen_success = _seen(policies, plays, recorded_flags, settings.withheld is not None)
@@ -225,9 +227,11 @@ def _seen(
     recorded_flags: Array,
     has_withheld: bool,
 ) -> tuple[str | None, Array]:
-    """Return what counts as seen and its name: the stand-in where there is one, else recordings, else nothing."""
+    """Return what counts as seen and its name: the stand-in where there is one and it is stable, else recordings."""
     if has_withheld:
-        return WITHHELD, _success(policies, plays, WITHHELD)
+        failed = np.array([plays[policy.name, WITHHELD].failed for policy in policies])
+        seen_success = np.where(failed, np.nan, _success(policies, plays, WITHHELD))
+        return (WITHHELD if np.isfinite(seen_success).any() else None), seen_success
     return (RECORDINGS if np.isfinite(recorded_flags).any() else None), recorded_flags
 
 
@@ -273,7 +277,7 @@ def _evaluation(
     names = tuple(policy.name for policy in findings.policies)
     world_names = tuple(world.name for world in findings.worlds)
     return PolicyEvaluation(
-        headline=headline(top_ranking, margin, findings.seen_name, world_names),
+        headline=headline(top_ranking, margin, findings.seen_success, world_names),
         dataset=f"{dataset.name}@{dataset.digest[:12]}",
         split=held_out.split,
         group=settings.group,
@@ -298,7 +302,7 @@ def _evaluation(
             findings.starts,
             top_ranking.world if top_ranking is not None else world_names[-1],
         ),
-        notes=(*notes, *_notes(findings)),
+        notes=(*notes, *_notes(findings, settings.goal, settings.duration_s)),
         revision=__version__,
     )
 
@@ -358,16 +362,21 @@ def _score(policy: str, world: str, plays: Played) -> PolicyScore:
     )
 
 
-def _notes(findings: _Findings) -> tuple[str, ...]:
+def _notes(findings: _Findings, goal: str | None, duration_s: float) -> tuple[str, ...]:
     """Return what a reader must know."""
     notes = []
-    for world in findings.worlds:
+    for world in (*findings.worlds, *findings.seen_world):
         results = [findings.plays[policy.name, world.name] for policy in findings.policies]
         if any(np.isnan(result.contact).any() for result in results):
             notes.append(f"{world.name} forecasts no contact: slips and drops are not told there")
         unstable = sum(int(result.failed.sum()) for result in results)
         if unstable:
             notes.append(f"{unstable} simulations of {world.name} became unstable")
+    if findings.seen_name == RECORDINGS:
+        notes.append(
+            f"recordings count as their `outcome` says: it must be of {goal or 'what each policy means'} within "
+            f"{duration_s:g} s, as it is in the worlds"
+        )
     if findings.seen_name is None:
         notes.append("the data set holds no recording of these policies from these starts: no world can be judged")
     return tuple(notes)

@@ -133,7 +133,12 @@ def _chooser_result(success: Array, has_chosen: Flags, by_chance: Array, rng: np
 
 
 def paired_lift(gains: Array, rng: np.random.Generator) -> Interval:
-    """Return the mean of gains `(n,)` by start, with its interval by bootstrap over the starts."""
+    """Return the mean of gains `(n,)` of success by start, with its interval by bootstrap over the starts.
+
+    One start tells nothing of others: its interval is all that a gain can be.
+    """
+    if len(gains) < 2:
+        return Interval(value=float(gains.mean()), low=-1.0, high=1.0)
     means = gains[resamples(rng, len(gains), DRAWS)].mean(1)
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
     return Interval(value=float(gains.mean()), low=low, high=high)

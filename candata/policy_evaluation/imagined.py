@@ -11,7 +11,6 @@ from candata.loaders import Windows
 from candata.loaders.cache import Cache
 from candata.policy_evaluation.contract import Array
 from candata.rotation import difference, exp, multiply, normalise
-from candata.training.forecasters import Batch
 from candata.training.rollout import CONTACT_THRESHOLD
 
 
@@ -39,7 +38,7 @@ class ImaginedEpisodes:
     stride: int
     cloud: NDArray[np.int64]
 
-    def batch(self, step: int) -> Batch:
+    def batch(self, step: int) -> dict[str, NDArray]:
         """Return the windows whose present is `step` model steps after row 0, one of each episode."""
         present_rows = self.windows.cache.begin + self.first_row + step * self.stride
         owner = np.arange(len(present_rows))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from candata.scenes import Scene
 from candata.simulate.closed_loop import ClosedLoop
 from candata.simulate.outcome import ObjectMotion, object_motion, outcome
 from candata.training.episode_scenes import EpisodeScenes
-from candata.training.forecasters import TrainedModel
+from candata.training.forecasters import NOISE_NUMBERS, TrainedModel
 from candata.training.poses import mean_pose
 from candata.training.rollout import CONTACT_THRESHOLD
 from candata.training.servo_lag import ServoLags
@@ -32,12 +32,25 @@ SEEN_CHANNELS: tuple[str, ...] = ("object_pose", "joint_position")
 MADE_CHANNELS = ("object_pose", "joint_position", "action", "contact")
 
 
+def check_joints(joints: str) -> None:
+    """Refuse an origin of joints that is not known.
+
+    Raises
+    ------
+    UnknownNameError
+        When it is not.
+    """
+    if joints not in get_args(JointsFrom):
+        raise UnknownNameError("origin of joints", joints, get_args(JointsFrom))
+
+
 @dataclass(frozen=True, eq=False)
 class LearnedWorld:
     """A trained model as a world; see `candata.policy_evaluation.contract.World`.
 
     A planned policy's commands are known to the model as far as its horizon. A policy in a closed loop is asked row by
-    row: for the horizon its last command holds, and every model step is forecast anew.
+    row. Every model step is forecast anew, after the policy was asked at its first row: that command holds for the
+    horizon.
 
     Attributes
     ----------
@@ -67,8 +80,7 @@ class LearnedWorld:
 
     def __post_init__(self) -> None:
         """Refuse a model that reads what no forecast gives, or steps that the rows do not fit."""
-        if self.joints not in ("servo", "simulator"):
-            raise UnknownNameError("origin of joints", self.joints, ("servo", "simulator"))
+        check_joints(self.joints)
         lacking_channels = [name for name in self.windows.channels if name not in MADE_CHANNELS]
         if lacking_channels or "action" not in self.windows.channels:
             raise UsageError(
@@ -112,32 +124,38 @@ class LearnedWorld:
         ------
         DataError
             When the policy fails, or a start is of no episode that the model's windows hold.
+        UsageError
+            When a goal is told by contact, and the model forecasts none.
         """
         orders = policy.orders(self.scene, starts, seed, duration_s)
         settle = round(orders.settle_s * self.scene.file.rate_hz)
         joints = self._planned_joints(policy, orders, starts, seed, duration_s, settle)
         episode_rows = self._begun_episodes(orders, starts, joints, settle)
-        rows = orders.commands.shape[1]
+        rows, stride = orders.commands.shape[1], episode_rows.stride
         loop = closed_loop(self.scene, self.name, policy.name, orders, starts, 0, lambda _place, readings: readings)
         execute = self.execute if loop is None else 1
         commands, contact = orders.commands.copy(), np.zeros((len(starts), rows))
         forecaster, spread, count = self._forecaster(episode_rows, starts), np.zeros(len(starts)), 0
-        for step in range(0, -(-rows // episode_rows.stride), execute):
-            forecast = forecaster.forecast(episode_rows.batch(step), (seed, step))
+        for step in range(0, -(-rows // stride), execute):
+            if loop is not None:
+                self._act(loop, episode_rows, range(step * stride, step * stride + 1), commands, contact)
+            batch = episode_rows.batch(step) | {NOISE_NUMBERS: starts.numbers}
+            forecast = forecaster.forecast(batch, (seed, step))
             steps = integrate(episode_rows.poses(step), forecast.increments[:, :, :execute])
             for k in range(execute):
                 chance = None if forecast.contact is None else forecast.contact[:, k]
                 episode_rows.write_step(step + k + 1, mean_pose(steps[:, :, k]), chance)
-                changed_row = (step + k) * episode_rows.stride + 1
-                contact[:, changed_row : changed_row + episode_rows.stride] = (
-                    np.nan if chance is None else chance[:, None]
-                )
+                changed_row = (step + k) * stride + 1
+                contact[:, changed_row : changed_row + stride] = np.nan if chance is None else chance[:, None]
                 spread += np.linalg.norm(steps[:, :, k, :3] - steps[:, :, k, :3].mean(0), axis=-1).mean(0)
                 count += 1
             if loop is not None:
-                self._act(loop, episode_rows, step, commands, contact)
+                between = range(step * stride + 1, min((step + 1) * stride, rows))
+                self._act(loop, episode_rows, between, commands, contact)
         if loop is not None:
             loop.check()
+        if np.isnan(contact).any():
+            self._refuse_goals_of_contact(orders)
         part = slice(episode_rows.first_row, episode_rows.first_row + rows)
         poses = episode_rows.rows["object_pose"][:, part].astype(np.float64)
         moved_joints = self._joint_rows(episode_rows, part, starts)
@@ -154,6 +172,16 @@ class LearnedWorld:
             spread / max(count, 1) if forecaster.samples > 1 else None,
             np.zeros(len(starts), bool),
         )
+
+    def _refuse_goals_of_contact(self, orders: Orders) -> None:
+        """Refuse goals that are reached only while the hand touches, where no contact is forecast."""
+        if any(goal is not None and (goal.turn_rad > 0 or goal.slip) for goal in orders.goals):
+            raise UsageError(
+                f"{self.name} forecasts no contact, without which no turn in the hand and no slip is a success",
+                expected="goals that poses alone tell: a lift, a place or a topple",
+                found="a turn" if any(goal is not None and goal.turn_rad > 0 for goal in orders.goals) else "a slip",
+                fix="leave this world out, or the policies that mean so",
+            )
 
     def _motion(self, poses: Array, contact: Array) -> ObjectMotion:
         """Return the motion that an outcome is told from; contact stands for the press of every fingertip."""
@@ -221,11 +249,10 @@ class LearnedWorld:
         return replace(self.forecaster, simulator=replace(simulator, windows=episode_rows.windows, scenes=scenes))
 
     def _act(
-        self, loop: ClosedLoop, episode_rows: ImaginedEpisodes, step: int, commands: Array, contact: Array
+        self, loop: ClosedLoop, episode_rows: ImaginedEpisodes, rows: range, commands: Array, contact: Array
     ) -> None:
-        """Let policies act at the rows of one model step: they see the forecast, and joints follow row by row."""
-        rows = commands.shape[1]
-        for row in range(step * episode_rows.stride, min((step + 1) * episode_rows.stride, rows)):
+        """Let policies act at some rows: they see the forecast, and joints follow row by row."""
+        for row in rows:
             place = episode_rows.first_row + row
             readings = {
                 name: episode_rows.rows[name][:, place].astype(np.float64)

@@ -97,7 +97,7 @@ def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) 
         world=world,
         policies=int(known_rows.sum()),
         pairs=int(np.isfinite(paired_success).sum()),
-        spearman=_interval(float(spearman(rate, truth)), drawn_values),
+        spearman=_interval(float(spearman(rate, truth)), drawn_values, 1.0),
         mmrv=mean_rank_violation(rate, truth),
         mean_error=float(np.abs(rate - truth).mean()),
         bias=float((rate - truth).mean()),
@@ -106,19 +106,23 @@ def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) 
     ), drawn_values
 
 
-def _interval(value: float, drawn_values: Array) -> Interval:
-    """Return a value with the central interval of its resamples; NaN ends where none has a value."""
-    finite = drawn_values[np.isfinite(drawn_values)]
-    if not len(finite):
+def _interval(value: float, drawn_values: Array, most: float) -> Interval:
+    """Return a value with the central interval of its resamples; NaN ends where it has none.
+
+    A resample in which all succeed alike has no order, and could be anything from `-most` to `most`: it counts as the
+    one for the lower end and as the other for the upper.
+    """
+    if not np.isfinite(value):
         return Interval(value=value, low=float("nan"), high=float("nan"))
-    tail = 100 * (1 - CONFIDENCE) / 2
-    low, high = np.percentile(finite, [tail, 100 - tail])
+    tail, is_known = 100 * (1 - CONFIDENCE) / 2, np.isfinite(drawn_values)
+    low = np.percentile(np.where(is_known, drawn_values, -most), tail)
+    high = np.percentile(np.where(is_known, drawn_values, most), 100 - tail)
     return Interval(value=value, low=float(low), high=float(high))
 
 
 def lead(best_draws: Array, other_draws: Array, value: float) -> Interval:
     """Return by how much a rank correlation is above another, with the interval of paired resamples."""
-    return _interval(value, best_draws - other_draws)
+    return _interval(value, best_draws - other_draws, 2.0)
 
 
 def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
@@ -133,13 +137,30 @@ def best_ranking(rankings: tuple[WorldRanking, ...]) -> WorldRanking | None:
 
 
 def headline(
-    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: str | None, worlds: Sequence[str]
+    top_ranking: WorldRanking | None, margin: Interval | None, seen_success: Array, worlds: Sequence[str]
 ) -> str:
-    """Return the first line: which world predicts policies best, and by how much."""
-    if seen_success is None:
+    """Return the first line: which world predicts policies best, and by how much.
+
+    Parameters
+    ----------
+    top_ranking : WorldRanking or None
+        Of the best world; None where none has a rank correlation.
+    margin : Interval or None
+        How far it is ahead of the nominal simulator.
+    seen_success : (P, n) float64
+        What was seen of each policy from each start; NaN where nothing was.
+    worlds : sequence of str
+        Names of those that predict.
+    """
+    seen_rates = rates(seen_success)
+    seen_rates = seen_rates[np.isfinite(seen_rates)]
+    if not len(seen_rates):
         return f"No world can be judged: nothing was seen of these policies. Predicted in {', '.join(worlds)}"
+    if len(seen_rates) == 1:
+        return "No world can be ranked: one policy alone was seen"
     if top_ranking is None:
-        return "No world can be ranked: all policies succeed alike"
+        where = "as they were seen" if np.ptp(seen_rates) == 0 else f"in {' and in '.join(worlds)}"
+        return f"No world can be ranked: all policies succeed alike {where}"
     words = f"{top_ranking.world} predicts policies best: rank correlation {top_ranking.spearman.value:.2f}"
     if len(worlds) == 1:
         return f"{words}; no other world was compared"

@@ -77,6 +77,16 @@ def recorded_success(dataset: Dataset, policies: Sequence[EvaluatedPolicy], star
     return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
 
+def recordings_from(dataset: Dataset, ids: Sequence[str]) -> tuple[str, ...]:
+    """Return the other episodes that were played from the starts of some, as their label `start` says."""
+    catalog, starts = dataset.catalog(["id", "meta"]), set(ids)
+    labels = {
+        name: (parse_json(text).get("labels") or {}).get(START_LABEL)
+        for name, text in zip(catalog["id"].to_pylist(), catalog["meta"].to_pylist(), strict=True)
+    }
+    return tuple(name for name, start in labels.items() if start in starts and name not in starts)
+
+
 def withheld_effects(path: Path) -> Withheld:
     """Return the effects of a stand-in for the real world: those of an `effects.yaml`, or of a sealed file.
 

@@ -12,7 +12,8 @@ from candata.errors import DataError, UsageError, Where
 from candata.loaders import find_split
 from candata.loaders.splits import group_ids
 from candata.policy_evaluation.contract import World
-from candata.policy_evaluation.learned import JointsFrom, LearnedWorld
+from candata.policy_evaluation.learned import JointsFrom, LearnedWorld, check_joints
+from candata.policy_evaluation.seen import recordings_from
 from candata.policy_evaluation.simulated import SimulatedWorld
 from candata.scenes import Scene, load_scene
 from candata.scenes.recorded_names import builtin_scene
@@ -43,6 +44,10 @@ class ModelSettings:
     execute: int | None = None
     joints: JointsFrom = "servo"
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuse another origin of joints, also where no model takes part."""
+        check_joints(self.joints)
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,8 @@ def held_out_episodes(
     Raises
     ------
     UsageError
-        When a run was trained on the starts, on another hand, in other units or at another rate, or cannot be a world.
+        When a run was trained on the starts or on recordings that were played from them (but for the groups `train` and
+        `all`), on another hand, in other units or at another rate, or cannot be a world.
     DataError
         When no episode is held out.
     """
@@ -107,8 +113,9 @@ def held_out_episodes(
     run_entries = evaluated_runs.read_runs(runs, settings.execute, (NOMINAL, REPAIRED, WITHHELD, RECORDINGS))
     split, split_name = evaluated_runs.split_of(run_entries, dataset)
     ids = tuple(dataset.ids) if group == "all" else tuple(group_ids(dataset, split, group))
+    held_out = (*ids, *recordings_from(dataset, ids))
     for run_entry in run_entries:
-        evaluated_runs.refuse_seen(run_entry, evaluated_runs.seen_ids(run_entry, dataset, split, ids) or (), group)
+        evaluated_runs.refuse_seen(run_entry, evaluated_runs.seen_ids(run_entry, dataset, split, held_out) or (), group)
     evaluated_runs.check_scaled(run_entries, dataset, ids)
     loaded_scene, ids = _of_one_scene(dataset, ids, scene)
     evaluation_settings = EvaluationSettings(

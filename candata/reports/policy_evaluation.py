@@ -24,6 +24,9 @@ from candata.reports.render import render_frames
 NEXT_MOTION = "next_motion.parquet"
 #: Pictures a row of the filmstrip.
 COLUMNS = 5
+#: Way between marks of equal seen success, which stand side by side, and most of it for all of them, as shares of the
+#: axis. Chosen: a dot's width, and less than lies between two ticks.
+SIDE_STEP, MOST_SIDE = 0.015, 0.16
 #: Colours for worlds that the style sheet has.
 COLOURS = 8
 RANKING_HEAD = ("world", "rank correlation", "MMRV", "mean error", "bias", "within interval", "starts alike")
@@ -32,15 +35,20 @@ RANKING_HEAD = ("world", "rank correlation", "MMRV", "mean error", "bias", "with
 def write_policy_evaluation(evaluation: PolicyEvaluation, exhibit: Exhibit | None, out: Path) -> Path:
     """Return the path of `policies.html` after writing it, `policies.json` and the next motion into `out`.
 
+    The page comes last. A next motion of an earlier evaluation goes.
+
     Raises
     ------
     SetupError
         When the folder cannot be written.
     """
-    write_text(out / "policies.html", page(evaluation, exhibit))
-    write_text(out / "policies.json", evaluation.model_dump_json(indent=2) + "\n")
-    if exhibit is not None:
+    text = page(evaluation, exhibit)
+    if exhibit is None:
+        (out / NEXT_MOTION).unlink(missing_ok=True)
+    else:
         write_motions(out / NEXT_MOTION, exhibit.scene, [exhibit.motion])
+    write_text(out / "policies.json", evaluation.model_dump_json(indent=2) + "\n")
+    write_text(out / "policies.html", text)
     return out / "policies.html"
 
 
@@ -101,25 +109,41 @@ def _classes(evaluation: PolicyEvaluation) -> dict[str, str]:
 
 
 def ranking_figure(evaluation: PolicyEvaluation) -> Markup:
-    """Return predicted over seen success, a dot for each policy and world with its interval; empty without any seen."""
+    """Return predicted over seen success, a dot for each policy and world with its interval; empty without any seen.
+
+    Those of one seen success stand side by side, policy by policy.
+    """
     seen = {score.policy: score for score in evaluation.scores if score.world == evaluation.seen and score.total}
     if not seen:
         return Markup("")
     ticks = tuple((k / 5, f"{20 * k} %") for k in range(6))
-    x, y = Axis(-0.03, 1.03, ticks), Axis(-0.03, 1.03, ticks)
+    places = _side_by_side(evaluation, {policy: score.success.value for policy, score in seen.items()})
+    margin = max(0.03, SIDE_STEP + max(max(-place, place - 1) for place in places.values()))
+    x, y = Axis(-margin, 1 + margin, ticks), Axis(-0.03, 1.03, ticks)
     marks = [line(x, y, [0.0, 1.0], [0.0, 1.0], "ideal")]
     for world, css_class in _classes(evaluation).items():
         scores = [score for score in evaluation.scores if score.world == world and score.policy in seen]
         truth = [seen[score.policy].success.value for score in scores]
-        marks += [_upright(x, y, at, score.success, css_class) for at, score in zip(truth, scores, strict=True)]
+        at_places = [places[score.policy, world] for score in scores]
+        marks += [_upright(x, y, at, score.success, css_class) for at, score in zip(at_places, scores, strict=True)]
         texts = [
             f"{score.policy}: {percent(score.success.value)} in {world}, {percent(at)} seen"
             for at, score in zip(truth, scores, strict=True)
         ]
-        marks.append(dots(x, y, truth, [score.success.value for score in scores], css_class, texts.__getitem__))
+        marks.append(dots(x, y, at_places, [score.success.value for score in scores], css_class, texts.__getitem__))
     return chart(
         x, y, join_markup(marks), "predicted over seen success of every policy", 340, "seen success", "predicted"
     )
+
+
+def _side_by_side(evaluation: PolicyEvaluation, truth: dict[str, float]) -> dict[tuple[str, str], float]:
+    """Return where the mark of each policy and world stands along the axis of seen success."""
+    places: dict[tuple[str, str], float] = {}
+    for value in set(truth.values()):
+        marks = [(policy, world) for policy in truth if truth[policy] == value for world in _classes(evaluation)]
+        step = min(SIDE_STEP, MOST_SIDE / len(marks))
+        places |= {key: value + step * (k - (len(marks) - 1) / 2) for k, key in enumerate(marks)}
+    return places
 
 
 def _upright(x: Axis, y: Axis, at: float, success: Interval, css_class: str) -> Markup:

@@ -32,13 +32,16 @@ SAMPLES, STEPS = 4, 4
 def least_near_best(errors: NDArray[np.float64]) -> int:
     """Return the row of the first of errors `(G, E)` whose mean is within one standard error of the least mean.
 
+    A row with an error that is not finite is of a loop that diverged: it is neither the best nor near it.
     The standard error is that of the paired differences from the best row. Source: the one-standard-error rule of L.
     Breiman et al., "Classification and Regression Trees", 1984, section 3.4.3.
     """
-    best = int(errors.mean(1).argmin())
-    differences = errors - errors[best]
+    finite = np.asarray(np.isfinite(errors).all(1))
+    known = np.where(finite[:, None], errors, 0.0)
+    best = int(np.where(finite, known.mean(1), np.inf).argmin())
+    differences = known - known[best]
     spread = differences.std(1, ddof=1) if errors.shape[1] > 1 else np.zeros(len(errors))
-    return int(np.argmax(differences.mean(1) <= spread / np.sqrt(errors.shape[1])))
+    return int(np.argmax(finite & (differences.mean(1) <= spread / np.sqrt(errors.shape[1]))))
 
 
 def choose_gain(

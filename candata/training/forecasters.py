@@ -21,6 +21,8 @@ JOINTS_FED = "joints_fed"
 #: Entry of a batch whose planned commands are not the recorded ones: `(B, R, A) float64` at the episodes' own rate, the
 #: first held from the present on; the last holds on.
 COMMANDS_PLANNED = "planned_rows/action"
+#: Entry of a batch whose windows each draw from a stream of their own, by its number: `(B,) int64`.
+NOISE_NUMBERS = "noise_numbers"
 #: Windows that a model forecasts at once.
 _AT_ONCE = 256
 
@@ -132,7 +134,11 @@ class TrainedModel:
         if self.simulator is not None:
             batch = {**batch, **self.simulator.keys(batch)}
         count = len(batch["history_pad"])
-        parts = [self._part(batch, slice(i, i + _AT_ONCE), (*seed, i)) for i in range(0, count, _AT_ONCE)]
+        own_streams = NOISE_NUMBERS in batch
+        parts = [
+            self._part(batch, slice(i, i + _AT_ONCE), seed if own_streams else (*seed, i))
+            for i in range(0, count, _AT_ONCE)
+        ]
         contacts = [part.contact for part in parts if part.contact is not None]
         return ForecastArrays(
             np.concatenate([part.increments for part in parts], axis=1),
@@ -144,11 +150,15 @@ class TrainedModel:
         import torch
 
         from candata.training.feed import tensors
-        from candata.training.state import generator
+        from candata.training.state import generator, window_generators
 
-        device_batch = tensors({name: values[part] for name, values in batch.items()}, self.clouds, self.device)
+        arrays = {name: values[part] for name, values in batch.items()}
+        numbers = arrays.pop(NOISE_NUMBERS, None)
+        draws = (
+            generator(self.device, *seed) if numbers is None else window_generators(self.device, seed, numbers.tolist())
+        )
         module: Any = self.module
         with torch.no_grad():
-            forecast = module.forecast(device_batch, self.samples, self.steps, generator(self.device, *seed))
+            forecast = module.forecast(tensors(arrays, self.clouds, self.device), self.samples, self.steps, draws)
         contact = None if forecast.contact is None else forecast.contact.double().cpu().numpy()
         return ForecastArrays(forecast.increments.double().cpu().numpy(), contact)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from candata.models import WindowGenerators
 from candata.training import checkpoint, ema
 from candata.training.settings import Progress, TrainingSettings
 
@@ -88,5 +90,17 @@ def initial_state(module: torch.nn.Module, settings: TrainingSettings) -> Traini
 
 def generator(device: str, *key: int) -> torch.Generator:
     """Return a generator whose stream the key (seed, step, ...) fixes."""
-    word = int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0])
-    return torch.Generator(device).manual_seed(word >> 1)
+    return torch.Generator(device).manual_seed(_seed(key))
+
+
+def window_generators(device: str, key: tuple[int, ...], numbers: Iterable[int]) -> WindowGenerators:
+    """Return a generator for windows with these numbers, whose streams the key and the number fix."""
+    made = WindowGenerators(device)
+    made.manual_seed(_seed(key))
+    made.each = tuple(generator(device, *key, int(number)) for number in numbers)
+    return made
+
+
+def _seed(key: tuple[int, ...]) -> int:
+    """Return the seed of torch that a key fixes."""
+    return int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0]) >> 1

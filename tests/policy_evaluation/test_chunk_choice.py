@@ -115,6 +115,17 @@ def test_kept_commands_keep_limits_and_rate_and_leave_what_does_already(rng):
     assert not BOUNDS.is_playable(wild, np.zeros((4, 2))).any()
 
 
+def test_one_start_tells_nothing_of_the_gain_at_others(rng):
+    one, two = paired_lift(np.array([0.5]), rng), paired_lift(np.array([0.5, 0.5]), rng)
+    assert (one.value, one.low, one.high) == (0.5, -1, 1)
+    assert (two.low, two.high) == (0.5, 0.5)
+
+
+def test_noise_without_an_end_is_refused(rng):
+    with pytest.raises(UsageError, match="no number"):
+        BOUNDS.noise(rng, (2,), 4, np.inf)
+
+
 def test_noise_is_smooth_and_of_the_size_that_is_asked_for(rng):
     noise = BOUNDS.noise(rng, (2000,), 16, 0.5)
     assert noise[:, [3, 7, 11]].std() == pytest.approx(0.5 * 0.3, rel=0.05)  # at knots; 12 000 draws

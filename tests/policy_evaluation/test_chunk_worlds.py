@@ -147,6 +147,18 @@ def test_bounds_are_those_of_the_recordings(feed, scene, data):
     assert np.allclose(bounds.step, np.max(steps, axis=0), rtol=1e-5)
 
 
+def test_a_jump_over_missing_rows_is_no_step_that_may_be_played(feed, scene):
+    cache, bounds = feed.cache, command_bounds(scene, feed)
+    rows, stretch, valid = cache.rows.copy(), cache.stretch.copy(), cache.valid.copy()
+    rows["action"][cache.begin[0] + 5 : cache.end[0]] += 1.0
+    stretch[cache.begin[0] + 5 : cache.end[0]] += 1
+    broken = replace(feed, cache=replace(cache, rows=rows, stretch=stretch))
+    assert np.allclose(command_bounds(scene, broken).step, bounds.step, atol=1e-5)
+    valid[cache.begin[0] + 5] = False
+    unknown = replace(feed, cache=replace(cache, rows=rows, valid=valid))
+    assert np.allclose(command_bounds(scene, unknown).step, bounds.step, atol=1e-5)
+
+
 def test_rows_of_chunks_are_recorded_up_to_the_start_and_simulated_behind(starts, nominal, data):
     rows = rows_of(starts, nominal, starts.recorded(ROWS))
     recorded = next(iter(open_dataset(data).episodes())).arrays
@@ -265,10 +277,28 @@ def test_a_chunk_longer_than_the_model_can_roll_is_refused(trained, data):
     assert "at most 1.6 s" in refused.err
 
 
+@pytest.mark.parametrize(("option", "value", "words"), [("--chunk", "nan", "no time"), ("--at", "inf", "no time")])
+def test_a_time_that_is_no_number_is_refused(option, value, words, trained, data):
+    refused = run("policy", "filter", trained, data, option, value)
+    assert refused.code == 2
+    assert words in refused.err
+
+
+def test_a_chunk_of_no_length_is_refused(trained, data):
+    assert "a chunk is too short" in run("policy", "filter", trained, data, "--chunk", 0).err
+
+
 def test_a_file_of_another_kind_is_refused_before_anything_is_computed(tmp_path):
     refused = run("policy", "refine", "no run", "no data", "--out", tmp_path / "policy.onnx")
     assert refused.code == 2
     assert "a .safetensors file" in refused.err
+
+
+@pytest.mark.parametrize("command", ["filter", "refine"])
+def test_a_repair_that_would_change_nothing_is_refused(command, tmp_path):
+    refused = run("policy", command, "no run", "no data", "--effects", tmp_path / "effects.yaml")
+    assert refused.code == 2
+    assert "the repaired simulator has nothing to do" in refused.err
 
 
 def test_a_model_that_does_not_read_the_plan_is_refused(data, tmp_path):

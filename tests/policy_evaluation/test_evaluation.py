@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from candata.datasets import append, create_dataset, open_dataset
-from candata.errors import UsageError
+from candata.errors import UnknownNameError, UsageError
 from candata.loaders import make_split, save_split
 from candata.policies import read_motions
+from candata.policy_evaluation import evaluation as evaluation_module
 from candata.policy_evaluation.attribution import effect_share
 from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evaluate_policies
 from candata.policy_evaluation.policies import read_policies
-from candata.policy_evaluation.seen import Withheld, recorded_success, withheld_effects
-from candata.reports.policy_evaluation import NEXT_MOTION, summary, write_policy_evaluation
+from candata.policy_evaluation.seen import Withheld, recorded_success, recordings_from, withheld_effects
+from candata.policy_evaluation.simulated import SimulatedWorld
+from candata.policy_evaluation.worlds import ModelSettings
+from candata.reports.policy_evaluation import NEXT_MOTION, ranking_figure, summary, write_policy_evaluation
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
@@ -87,11 +91,38 @@ def test_the_page_and_the_summary_say_first_which_world_is_best(found, written):
     assert NEXT_MOTION in text
 
 
+def test_a_motion_that_an_earlier_evaluation_proposed_goes(found, tmp_path):
+    write_policy_evaluation(*found, tmp_path)
+    assert (tmp_path / NEXT_MOTION).is_file()
+    write_policy_evaluation(found[0].model_copy(update={"next_motion": None}), None, tmp_path)
+    assert not (tmp_path / NEXT_MOTION).exists()
+
+
+def test_no_mark_of_the_ranking_hides_another(found):
+    evaluation, _ = found
+    figure = str(ranking_figure(evaluation))
+    dots = re.findall(r'<path d="M(\d+) (\d+)h0"><title>([^:]*): \d+ % in (\w+), (\d+) %', figure)
+    assert len({int(x) for x, _, _, _, _ in dots}) == len(dots) == 3 * 2
+    order = [int(seen) for _, _, _, _, seen in sorted(dots, key=lambda dot: int(dot[0]))]
+    assert order == sorted(order)  # to the right more success was seen
+
+
 def test_recordings_of_a_policy_count_for_its_name_and_start(recorded, gripper, starts, policies):
     chosen = read_policies(policies({**GRASP, "name": "grasp_lift_shake"}, PUSH), gripper)
     success = recorded_success(recorded, chosen, starts)
     assert success[0].tolist() == [1.0] * len(starts)
     assert np.isnan(success[1]).all()
+
+
+def test_recordings_that_were_played_from_a_start_are_told_by_their_label(recorded, tmp_path):
+    folder = create_dataset(tmp_path / "again")
+    shutil.copytree(recorded.path / "objects", folder / "objects", dirs_exist_ok=True)
+    first, second = recorded.ids[:2]
+    episodes = list(recorded.episodes((first, second)))
+    labelled = episodes[1].meta.model_copy(update={"labels": {"start": first}})
+    append(folder, [episodes[0], Episode(labelled, dict(episodes[1].arrays))], Lineage(operation="test"))
+    assert recordings_from(open_dataset(folder), (first,)) == (second,)
+    assert recordings_from(open_dataset(folder), (second,)) == ()
 
 
 def test_without_anything_seen_the_repaired_world_is_the_measure_and_none_is_judged(recorded, policies):
@@ -108,7 +139,26 @@ def test_recordings_are_what_was_seen(recorded, policies):
     evaluation, _ = evaluate_policies([], recorded, file, replace(SETTINGS, starts=2))
     (ranking,) = evaluation.rankings
     assert (evaluation.seen, ranking.policies, ranking.agreement) == ("recordings", 1, 1.0)
-    assert evaluation.headline == "No world can be ranked: all policies succeed alike"
+    assert evaluation.headline == "No world can be ranked: one policy alone was seen"
+    assert any("their `outcome`" in note and "within 1.6 s" in note for note in evaluation.notes)
+
+
+@dataclass(frozen=True)
+class Unstable(SimulatedWorld):
+    """A world in which every simulation from the first start becomes unstable."""
+
+    def play(self, policy, starts, seed, duration_s):
+        made = super().play(policy, starts, seed, duration_s)
+        return replace(made, failed=np.arange(len(starts)) == 0)
+
+
+def test_what_became_unstable_in_the_stand_in_was_not_seen(recorded, policies, monkeypatch):
+    monkeypatch.setattr(evaluation_module, "SimulatedWorld", Unstable)
+    settings = replace(SETTINGS, starts=2, duration_s=0.5, goal="lift", withheld=Withheld((SLIPPERY,)))
+    evaluation, _ = evaluate_policies([], recorded, policies(GRASP, PUSH), settings)
+    assert [ranking.pairs for ranking in evaluation.rankings] == [2]  # the other start of two policies
+    assert "2 simulations of withheld became unstable" in evaluation.notes
+    assert evaluation.headline == "No world can be ranked: all policies succeed alike as they were seen"
 
 
 def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_without_it():
@@ -116,6 +166,8 @@ def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_wi
     nominal, repaired = np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([[0.0, 0.0, 0.0, 0.0]])
     share = effect_share("e", seen, nominal, repaired, np.array([[1.0, 0.0, 1.0, 1.0]]))
     assert (share.explained, share.wrong, share.broken, share.share) == (1, 2, 1, 0.5)
+    halves = np.full((1, 4), 0.5)  # repeats that ended either way make no prediction wrong
+    assert effect_share("e", halves, nominal, repaired, repaired).wrong == 0
 
 
 def test_a_policy_without_a_goal_is_asked_for_one(recorded, policies, tmp_path):
@@ -127,6 +179,11 @@ def test_a_policy_without_a_goal_is_asked_for_one(recorded, policies, tmp_path):
     evaluation, _ = evaluate_policies([], recorded, file, replace(settings, goal="lift"))
     assert evaluation.scores[0].outcomes == {"miss": 2}
     assert evaluation.policies["still"].kind == "closed loop"
+
+
+def test_an_unknown_origin_of_joints_is_refused_without_a_run_too():
+    with pytest.raises(UnknownNameError, match="origin of joints"):
+        ModelSettings(joints="motor")
 
 
 def test_a_seal_of_another_scene_is_refused(gripper):

@@ -7,7 +7,7 @@ import pytest
 
 from candata.errors import CandataError, UsageError
 from candata.policies import Goal, Motion, write_motions
-from candata.policy_evaluation.goals import parsed_goal
+from candata.policy_evaluation.goals import check_held, parsed_goal
 from candata.policy_evaluation.policies import read_policies
 
 
@@ -64,3 +64,18 @@ def test_goals_are_read_with_their_numbers():
 def test_a_goal_that_means_nothing_is_refused(text):
     with pytest.raises(UsageError):
         parsed_goal(text)
+
+
+@pytest.mark.parametrize("text", ["lift:20", "place:100,0", "place:0,-50", "turn:30"])
+def test_a_goal_in_millimetres_or_degrees_is_refused(text):
+    with pytest.raises(UsageError, match="more than can be reached"):
+        parsed_goal(text)
+
+
+def test_a_lift_that_is_held_for_longer_than_is_played_is_refused():
+    check_held(parsed_goal("lift:0.02,1.6"), 1.6)
+    check_held(parsed_goal("turn"), 0.1)
+    with pytest.raises(UsageError, match="hold for longer than what is played"):
+        check_held(parsed_goal("lift:0.02,5"), 1.6)
+    with pytest.raises(UsageError, match="no length"):
+        check_held(None, np.inf)

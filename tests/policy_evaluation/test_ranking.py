@@ -56,6 +56,13 @@ def test_a_world_is_judged_by_the_starts_that_were_seen():
     assert world_ranking("w", predicted, seen, 0)[0].policies == 2
 
 
+def test_starts_that_seldom_show_an_order_leave_the_rank_correlation_open():
+    few, _ = world_ranking("w", flags(0, 1, total=3), flags(0, 1, total=3), 0)
+    assert (few.spearman.value, few.spearman.low, few.spearman.high) == (pytest.approx(1), -1, 1)
+    many, _ = world_ranking("w", flags(0, 9), flags(0, 9), 0)
+    assert many.spearman.low == pytest.approx(1)
+
+
 def test_the_best_world_ranks_best_and_one_without_an_order_is_none():
     seen = flags(1, 5, 9)
     right, wrong, flat = (

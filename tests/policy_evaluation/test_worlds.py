@@ -116,6 +116,15 @@ def test_a_learned_world_moves_the_object_as_forecast_and_joints_by_their_lag(gr
     assert "joints by a servo lag" in learned(0.1).summary
 
 
+@pytest.mark.parametrize("goal", [Goal(turn_rad=0.1), Goal(lift_m=0.02, slip=True)], ids=["turn", "slip"])
+def test_a_goal_that_contact_tells_is_refused_where_none_is_forecast(goal, starts, learned):
+    middle = np.zeros((len(starts), 10, len(learned(0.0).windows.actuator_names)))
+    policy = GivenCommands("still", middle, goal)
+    with pytest.raises(UsageError, match="forecasts no contact"):
+        learned(0.0, contact=None).play(policy, starts, 1, 0.2)
+    assert learned(0.0).play(policy, starts, 1, 0.2).outcomes  # with contact it is told
+
+
 def test_joints_of_planned_commands_may_be_those_of_the_nominal_simulator(gripper, starts, policies, learned):
     (grasp,) = read_policies(policies({"name": "g", "source": "grasp_lift_shake"}), gripper)
     simulated = SimulatedWorld("nominal", gripper).play(grasp, starts, 1, 0.5)
@@ -141,6 +150,46 @@ def test_a_policy_sees_the_forecast_of_pose_and_contact(gripper, starts, learned
     assert seen[-1][0] > seen[0][0] + 0.03
     assert (seen[0][1], seen[-1][1]) == (0.0, 1.0)
     assert played.commands[0, -1].max() > played.commands[0, 0].max()
+
+
+def test_the_command_of_a_policy_acts_in_the_step_of_a_model_that_it_begins(gripper, starts, learned):
+    low, high = gripper.model.actuator_ctrlrange[gripper.actuator_ids].T
+    world = learned(0.1)
+
+    def begin(scene, rng):
+        return lambda observation: low if observation.time_s < 0.095 else high
+
+    height = world.play(closed(begin), starts.take([0]), 1, 0.3).object_pose[0, :, 2]
+    stride = round(gripper.file.rate_hz / world.windows.rate_hz)
+    # It lies still for a step, and rises by a hundredth in the one that the other command begins.
+    assert height[[stride, 2 * stride]] - height[0] == pytest.approx([0.0, 0.01], abs=1e-6)
+
+
+@pytest.mark.parametrize("model", ["contact_diffusion", "sim_residual"])
+def test_what_a_learned_world_draws_for_a_start_does_not_depend_on_the_others(model, gripper, starts, read, policies):
+    torch = pytest.importorskip("torch")
+    from candata.models import Sizes
+    from candata.models import model as find_model
+    from candata.testing.models import tiny_config
+    from candata.training.forecasters import TrainedModel
+    from candata.training.simulator import simulator
+
+    kind = find_model(model)
+    fields = {"cloud": "none", "latent": 16, "temporal_width": 8, "widths": (8, 16), "groups": 8}
+    module = kind.build(tiny_config(kind, **fields), Sizes(**read.sizes()), read.normaliser).eval()
+    draws = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for value in module.parameters():
+            if not value.any():  # the last layer, which begins at zero
+                value.copy_(0.5 * torch.randn(value.shape, generator=draws))
+    source = simulator(read, None) if kind.needs_simulator else None
+    forecaster = TrainedModel(module, torch.zeros(1, 1, 3), 2, 2, simulator=source)
+    world = LearnedWorld("model", gripper, forecaster, read, fit_servo_lags(read), 4)
+    (grasp,) = read_policies(policies({"name": "g", "source": "grasp_lift_shake"}), gripper)
+    together, alone = (world.play(grasp, each, 1, 0.5) for each in (starts, starts.take([1])))
+    np.testing.assert_allclose(alone.object_pose[0], together.object_pose[1], atol=1e-4)  # rounding grows in contact
+    assert together.spread_m is not None
+    assert together.spread_m.min() > 2e-4  # what is drawn matters
 
 
 def test_a_channel_that_a_world_lacks_is_named(starts, learned):

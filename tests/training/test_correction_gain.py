@@ -56,6 +56,7 @@ def test_a_correction_that_is_right_is_played_and_one_that_is_wrong_is_not(nomin
     [
         ([[3.0, 3.0, 3.0], [2.0, 2.1, 1.9], [1.0, 1.1, 0.9]], 2),  # the best one is better beyond doubt
         ([[1.0, 3.0, 2.0], [2.0, 1.0, 1.1], [2.0, 1.0, 1.0]], 0),  # nothing can be told apart: no correction
+        ([[3.0, 3.1], [1.0, 1.1], [np.nan, 1.0]], 1),  # a loop that diverges at one gain hides none that is better
         ([[2.0], [1.0]], 1),  # one episode has no standard error: the least
     ],
 )
