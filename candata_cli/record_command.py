@@ -78,6 +78,7 @@ def record_real(
     sources = [*hand.streams, *_sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])]
     if duration is not None:
         _positive("duration", duration)
+    _positive("calibrate_s", calibrate_s)
     plan, whole_s = session_options.session_plan(episodes, gap, start_on_contact, duration)
     overrides = _overrides({"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}, session)
     settings = RecorderSettings(
@@ -178,7 +179,8 @@ def _positive(name: str, value: float) -> float:
     from candata.errors import UsageError
 
     if not 0 < value < float("inf"):
-        raise UsageError(f"--{name.removesuffix('_hz').replace('_', '-')} must be above zero", found=str(value))
+        option = f"--{name.removesuffix('_hz').replace('_', '-')}"
+        raise UsageError(f"{option} must be above zero", expected="a finite number", found=str(value))
     return value
 
 

@@ -54,11 +54,13 @@ def session_plan(
     Raises
     ------
     UsageError
-        When the schedule lacks the length of an episode.
+        When the schedule lacks the length of an episode, or a rest stands where nothing marks the session by itself.
     """
     from candata.errors import UsageError
     from candata.record.session import SessionPlan
 
+    if gap_s is not None and episodes is None and not on_contact:
+        raise UsageError("--gap does nothing in a session by keys", fix="give --episodes N, or --start-on-contact")
     gap = 1.0 if gap_s is None else gap_s
     if on_contact or episodes is None:
         return SessionPlan(episodes, None, gap, on_contact), duration_s

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import UsageError
-from candata.policies import Motion, StepPolicy, command_limits
+from candata.policies import Motion, Step, StepPolicy, command_limits
 from candata.policy_evaluation.chunk_starts import ChunkStarts
 from candata.policy_evaluation.commands import CommandBounds, candidate_motions
-from candata.policy_evaluation.pilots import STEP_LIMIT_S
+from candata.policy_evaluation.pilots import STEP_LIMIT_S, checked_begin
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.simulate import rollout
@@ -127,7 +128,7 @@ def policy_chunks(policy: StepPolicy, scene: Scene, starts: ChunkStarts, rows: i
     pilots = [
         Pilot(
             episode,
-            lambda number=number: policy.begin(scene, np.random.default_rng([seed, number])),  # type: ignore[misc]
+            partial(checked_begin, partial(_begin, policy, scene, [seed, number]), scene, policy.name, "simulation"),
             lambda readings: readings,
             rows,
             np.zeros((rows, commands.shape[2])),
@@ -146,3 +147,8 @@ def policy_chunks(policy: StepPolicy, scene: Scene, starts: ChunkStarts, rows: i
     )
     closed_loop.check()
     return commands[:, lead:]
+
+
+def _begin(policy: StepPolicy, scene: Scene, seed: Sequence[int]) -> Step:
+    """Return the step of a policy that begins with its own random stream."""
+    return policy.begin(scene, np.random.default_rng(seed))

@@ -13,6 +13,7 @@ from candata.policies import Observation, Step, command_limits
 from candata.policy_evaluation.contract import Array, Orders, RealStarts
 from candata.scenes import Scene
 from candata.schema.channels import CHANNELS
+from candata.schema.contact import fingertip_contact
 from candata.schema.episode import ContactRule
 from candata.simulate.closed_loop import ClosedLoop, Pilot
 
@@ -53,7 +54,7 @@ def closed_loop(
         if begin is None
         else Pilot(
             f"{policy} from {start} in {world}",
-            partial(_checked_begin, begin, scene, policy, world),
+            partial(checked_begin, begin, scene, policy, world),
             partial(sense, i),
             rows,
             no_noise,
@@ -63,7 +64,7 @@ def closed_loop(
     return ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene), STEP_LIMIT_S)
 
 
-def _checked_begin(begin: Callable[[], Step], scene: Scene, policy: str, world: str) -> Step:
+def checked_begin(begin: Callable[[], Step], scene: Scene, policy: str, world: str) -> Step:
     """Return a step that sees contact in every world, and says what a world lacks."""
     step = begin()
 
@@ -80,7 +81,7 @@ def _checked_begin(begin: Callable[[], Step], scene: Scene, policy: str, world: 
                 expected=", ".join(readings),
                 found=name,
                 where=Where(path=scene.name, channel=name),
-                fix="leave this world or this policy out",
+                fix="leave this policy out, or play it elsewhere",
             ) from None
 
     return checked_step
@@ -90,8 +91,8 @@ def with_contact(readings: Mapping[str, Array]) -> dict[str, Array]:
     """Return the readings of one row with `contact`, told by the fingertips' forces where no forecast gives it."""
     if CONTACT in readings or "fingertip_force" not in readings:
         return dict(readings)
-    sizes = np.linalg.norm(readings["fingertip_force"], axis=-1)
-    return {**readings, CONTACT: np.asarray(float((sizes > ContactRule().threshold_n).any()))}
+    flags = fingertip_contact(readings["fingertip_force"][None], ContactRule().threshold_n)
+    return {**readings, CONTACT: np.asarray(float(flags.any()))}
 
 
 def held_commands(orders: Orders, settle: int) -> Array:

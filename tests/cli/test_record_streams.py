@@ -92,6 +92,7 @@ def test_a_log_is_recorded_again_with_all_its_streams(hand, tmp_path, candata):
         (("--wrench", "/dev/null?baud=fast"), "a whole number above zero"),
         (("--wrench", "/dev/null?zero=1"), "has no settings"),
         (("--poll", "0,0,0"), "does not say every joint"),
+        (("--calibrate-s", "inf"), "a finite number"),
         (("--poll", ",".join(["9"] * 12)), "leaves the limits of thumb_bend"),
     ],
 )

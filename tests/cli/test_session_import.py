@@ -80,6 +80,7 @@ def test_each_mark_is_an_episode_and_another_recipe_a_new_version(session, tmp_p
         ((), "give --out LOG, or --session DIR"),
         (("--out", "a", "--episodes", 2), "only a session takes --episodes"),
         (("--session", "b", "--episodes", 2), "--episodes needs the length of an episode"),
+        (("--session", "b", "--gap", 2), "--gap does nothing in a session by keys"),
         (("--session", "b", "--threshold", 0.2, "--release", 0.3), "do not make a rule of contact"),
     ],
 )

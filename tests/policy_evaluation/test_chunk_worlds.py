@@ -217,15 +217,32 @@ def test_a_policy_that_reads_forces_is_not_distilled(starts, nominal, scene, rng
 
 
 def test_a_closed_loop_plans_what_it_commands_from_the_start_on(starts, scene):
-    policy = SimpleNamespace(begin=lambda _scene, _rng: lambda seen: seen.action + 0.001)
+    policy = SimpleNamespace(name="p", begin=lambda _scene, _rng: lambda seen: seen.action + 0.001)
     chunks = policy_chunks(policy, scene, starts, 5, 0)
     assert np.allclose(chunks, starts.previous[:, None] + 0.001 * np.arange(1, 6)[:, None], atol=1e-9)
 
 
 def test_a_closed_loop_that_commands_no_number_is_refused(starts, scene):
-    policy = SimpleNamespace(begin=lambda _scene, _rng: lambda seen: np.nan * seen.action)
+    policy = SimpleNamespace(name="p", begin=lambda _scene, _rng: lambda seen: np.nan * seen.action)
     with pytest.raises(DataError, match="gave no commands"):
         policy_chunks(policy, scene, starts, 5, 0)
+
+
+def test_a_closed_loop_sees_contact_and_is_told_what_the_simulation_lacks(starts, scene):
+    seen_contacts = []
+
+    def reads(name):
+        def step(seen):
+            seen_contacts.append(float(seen.readings[name]))
+            return seen.action
+
+        return SimpleNamespace(name="p", begin=lambda _scene, _rng: step)
+
+    policy_chunks(reads("contact"), scene, starts, 5, 0)
+    assert set(seen_contacts) <= {0.0, 1.0}
+    assert len(seen_contacts) == 5 * len(starts)
+    with pytest.raises(DataError, match="reads a channel that the world simulation lacks"):
+        policy_chunks(reads("hand_pose"), scene, starts, 5, 0)
 
 
 @pytest.fixture(scope="module")
