@@ -51,7 +51,7 @@ DatasetPath = Annotated[
 EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="Which, where it has several.")]
 Gap = Annotated[
     float | None,
-    typer.Option("--gap", metavar="S", help="All of its episodes in turn, resting so long before each but the first."),
+    typer.Option("--gap", metavar="S", help="All of its episodes in turn, with so long a rest after each."),
 ]
 Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Rows a second; the episode's own by default.")

@@ -196,14 +196,16 @@ def write_script(
 
 
 def joined(episodes: Sequence[Episode], rest_s: float) -> Episode:
-    """Return the episodes one after the other, each after the first behind a rest in its first row, untouched.
+    """Return the episodes one after the other, with rests between, and at the end a rest in the first row of all.
+
+    In a rest the hand is untouched and stands in the first row of what comes next.
 
     Parameters
     ----------
     episodes : sequence of Episode
         At least one; of one hand, scene and rate.
     rest_s : float
-        Time for which the first row of each is held before it.
+        Time of a rest; it has a row at least.
 
     Raises
     ------
@@ -223,7 +225,7 @@ def joined(episodes: Sequence[Episode], rest_s: float) -> Episode:
                     where=Where(episode=other.meta.id),
                     fix="name one with --episode",
                 )
-    rest_rows = round(rest_s * first.meta.rate_hz)
+    rest_rows = max(1, round(rest_s * first.meta.rate_hz))
     arrays = {name: _joined_channel(name, episodes, rest_rows) for name in PLAYED if all(name in e for e in episodes)}
     arrays["time_ns"] = np.round(np.arange(len(arrays["joint_position"])) * 1e9 / first.meta.rate_hz).astype(np.int64)
     tasks = {episode.meta.task for episode in episodes}
@@ -232,14 +234,12 @@ def joined(episodes: Sequence[Episode], rest_s: float) -> Episode:
 
 
 def _joined_channel(name: str, episodes: Sequence[Episode], rest_rows: int) -> NDArray:
-    """Return a channel of episodes with rests between them."""
+    """Return a channel of episodes, each followed by a rest."""
+    values = [_complete_channel(episode, name) for episode in episodes]
     parts = []
-    for number, episode in enumerate(episodes):
-        values = _complete_channel(episode, name)
-        if number:
-            held = np.repeat(values[:1], rest_rows, axis=0)
-            parts.append(np.zeros_like(held) if name == "fingertip_force" else held)
-        parts.append(values)
+    for episode_values, next_values in zip(values, [*values[1:], values[0]], strict=True):
+        rest = np.repeat(next_values[:1], rest_rows, axis=0)
+        parts += [episode_values, np.zeros_like(rest) if name == "fingertip_force" else rest]
     return np.concatenate(parts)
 
 

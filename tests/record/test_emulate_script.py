@@ -192,14 +192,16 @@ def test_episodes_are_joined_with_untouched_rests_in_their_first_rows():
     first, second = make(), make(rows=15, force=5.0, task="slide")
     whole = joined([first, second], 0.2)
     between = slice(20, 36)  # 0.2 s at 80 Hz
-    assert len(whole) == 20 + 16 + 15
+    assert len(whole) == 20 + 16 + 15 + 16
     assert whole.meta.task is None
     assert not whole["fingertip_force"][between].any()
+    assert not whole["fingertip_force"][51:].any()
     for name in ("joint_position", "action", "object_pose"):
         assert (whole[name][between] == second[name][0]).all()
+        assert (whole[name][51:] == first[name][0]).all()
     for name in ("joint_position", "action", "fingertip_force", "object_pose"):
         np.testing.assert_array_equal(whole[name][:20], first[name])
-        np.testing.assert_array_equal(whole[name][36:], second[name])
+        np.testing.assert_array_equal(whole[name][36:51], second[name])
 
 
 def test_episodes_of_another_rate_are_not_joined():
