@@ -49,6 +49,10 @@ DatasetPath = Annotated[
     Path | None, typer.Option("--dataset", metavar="DATASET", help="Play an episode of it instead.")
 ]
 EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="Which, where it has several.")]
+Gap = Annotated[
+    float | None,
+    typer.Option("--gap", metavar="S", help="All of its episodes in turn, with so long a rest after each."),
+]
 Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Rows a second; the episode's own by default.")
 ]
@@ -101,6 +105,7 @@ def emulate(
     duration_s: Duration = 3.2,
     dataset: DatasetPath = None,
     episode: EpisodeId = None,
+    gap: Gap = None,
     rate: Rate = None,
     rest_s: RestSeconds = 3.5,
     newton_per_count: Scale = None,
@@ -131,12 +136,14 @@ def emulate(
             check_output(path, "new", option)
     if episode is not None and dataset is None:
         raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
+    if gap is not None and (dataset is None or episode is not None):
+        raise UsageError("--gap plays all episodes of a dataset", fix="give --dataset, and no --episode")
     hand_name, scene_name, folder = session.place(device_name, scene, link, hold=hold, streams=streams, ports=ports)
     model, fault_plan = hand(hand_name), parse_faults(faults)
     encoder_of(hand_name, model)
     _check(loop, seed, fault_plan, link)
     episode_played = (
-        _stored_episode(dataset, episode) if dataset else _simulated_episode(scene_name, policy, seed, duration_s)
+        _stored_episode(dataset, episode, gap) if dataset else _simulated_episode(scene_name, policy, seed, duration_s)
     )
     script = write_script(
         episode_played, hand_name, model, rate_hz=rate, still_s=rest_s, newton_per_count=newton_per_count
@@ -170,16 +177,19 @@ def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
         raise UsageError("a port that comes back has another name", fix="give a --link: it will lead to the new one")
 
 
-def _stored_episode(dataset: Path, name: str | None) -> Episode:
-    """Return the episode `name` of a dataset, or its only one."""
+def _stored_episode(dataset: Path, name: str | None, gap_s: float | None) -> Episode:
+    """Return the episode `name` of a dataset, or its only one; with a gap all of them, one after the other."""
     from candata.datasets import open_dataset
     from candata.errors import UsageError, Where
+    from candata.record.emulate_script import joined
 
     data = open_dataset(dataset)
+    if gap_s is not None and len(data):
+        return joined(list(data.episodes()), gap_s)
     if name is None and len(data) != 1:
         raise UsageError(
             "which episode?",
-            expected="--episode ID",
+            expected="--episode ID, or --gap S for all in turn",
             found=f"{len(data)}: {', '.join(data.ids[:5])}, ...",
             where=Where(path=str(dataset)),
         )

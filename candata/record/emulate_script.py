@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from candata.schema.episode import Episode, EpisodeMeta
 #: The taxels lie in rows of ten; a press spreads over them as a Gaussian of this width [taxels] about the middle.
 #: The taxels' places are not published: a fixed pattern that reaches many of them is all that a test needs.
 ROW_OF_TAXELS, SPREAD = 10, 1.5
+#: Channels of an episode that an emulated hand, or a stream beside it, sends.
+PLAYED = ("joint_position", "action", "fingertip_force", "object_pose")
 #: Its frames are made before the first is sent.
 STILL_MAX_S = 600.0
 
@@ -36,7 +39,7 @@ class Script:
         Rows a second.
     newton_per_count : float
         Scale of the counts.
-    still : int
+    rest_rows : int
         Rows of the still stretch.
     row : (n,) int64
         Row of the episode.
@@ -48,7 +51,7 @@ class Script:
         As sent.
     force_clipped, taxels_clipped : (n,) int64
         Numbers of counts that were out of the device's range.
-    unwired : dict of str to (n, k) float64
+    unwired_channels : dict of str to (n, k) float64
         `joint_position`, `action`, `object_pose`: what the wire does not carry.
     unwired_joints, unwired_actuators : tuple of str
         Names of those joints and actuators.
@@ -190,6 +193,54 @@ def write_script(
         commands=tuple(encoder.command_frames(wire_values[1])),
         states=tuple(encoder.state_frames(wire_values[0], force_counts, taxel_counts)),
     )
+
+
+def joined(episodes: Sequence[Episode], rest_s: float) -> Episode:
+    """Return the episodes one after the other, with rests between, and at the end a rest in the first row of all.
+
+    In a rest the hand is untouched and stands in the first row of what comes next.
+
+    Parameters
+    ----------
+    episodes : sequence of Episode
+        At least one; of one hand, scene and rate.
+    rest_s : float
+        Time of a rest; it has a row at least.
+
+    Raises
+    ------
+    UsageError
+        When the rest is no time, or the episodes are of different hands, scenes or rates.
+    """
+    if not 0 <= rest_s < float("inf"):
+        raise UsageError("the rest between episodes is no time", expected="0 s or more", found=f"{rest_s:g}")
+    first = episodes[0]
+    for other in episodes[1:]:
+        for field in ("scene", "rate_hz", "joint_names", "actuator_names", "fingertip_names", "action"):
+            if getattr(other.meta, field) != getattr(first.meta, field):
+                raise UsageError(
+                    "the episodes do not play one after the other",
+                    expected=f"{field} {getattr(first.meta, field)}, as {first.meta.id}",
+                    found=str(getattr(other.meta, field)),
+                    where=Where(episode=other.meta.id),
+                    fix="name one with --episode",
+                )
+    rest_rows = max(1, round(rest_s * first.meta.rate_hz))
+    arrays = {name: _joined_channel(name, episodes, rest_rows) for name in PLAYED if all(name in e for e in episodes)}
+    arrays["time_ns"] = np.round(np.arange(len(arrays["joint_position"])) * 1e9 / first.meta.rate_hz).astype(np.int64)
+    tasks = {episode.meta.task for episode in episodes}
+    meta = first.meta.model_copy(update={} if len(tasks) == 1 else {"task": None})
+    return Episode(meta, arrays)
+
+
+def _joined_channel(name: str, episodes: Sequence[Episode], rest_rows: int) -> NDArray:
+    """Return a channel of episodes, each followed by a rest."""
+    values = [_complete_channel(episode, name) for episode in episodes]
+    parts = []
+    for episode_values, next_values in zip(values, [*values[1:], values[0]], strict=True):
+        rest = np.repeat(next_values[:1], rest_rows, axis=0)
+        parts += [episode_values, np.zeros_like(rest) if name == "fingertip_force" else rest]
+    return np.concatenate(parts)
 
 
 def encoder_of(name: str, device: Device) -> Encoder:

@@ -119,8 +119,12 @@ class Touch:
         return replace(self, touched_ns=time_ns) if is_touching else replace(self, free_ns=time_ns)
 
 
-def due_mark(plan: SessionPlan, session: Session, now_ns: int, start_ns: int, touch: Touch) -> MarkKind | None:
-    """Return the mark that a plan makes at `now_ns`, None if none is due.
+def due_mark(
+    plan: SessionPlan, session: Session, now_ns: int, start_ns: int, touch: Touch
+) -> tuple[MarkKind, int] | None:
+    """Return the mark that a plan makes by `now_ns` and its time [ns], None if none is due.
+
+    A scheduled mark has the time at which it was due, so that no delay adds up over a session.
 
     Parameters
     ----------
@@ -139,17 +143,22 @@ def due_mark(plan: SessionPlan, session: Session, now_ns: int, start_ns: int, to
             return None
         last = session.episodes[-1].end_ns if session.episodes else None
         rested_ns = start_ns if last is None else max(start_ns, last)
-        return "begin" if _is_begin_due(plan, now_ns, rested_ns, touch) else None
+        if plan.on_contact:
+            return ("begin", now_ns) if _touches_after_rest(now_ns, rested_ns, touch) else None
+        return _scheduled("begin", rested_ns, plan.gap_s, now_ns) if plan.length_s is not None else None
     if plan.on_contact:
         quiet_ns = now_ns - max(touch.touched_ns or 0, open_episode.begin_ns)
-        return "end" if quiet_ns >= 1e9 * plan.gap_s else None
-    is_over = plan.length_s is not None and now_ns - open_episode.begin_ns >= 1e9 * plan.length_s
-    return "end" if is_over else None
+        return ("end", now_ns) if quiet_ns >= 1e9 * plan.gap_s else None
+    return _scheduled("end", open_episode.begin_ns, plan.length_s, now_ns) if plan.length_s is not None else None
 
 
-def _is_begin_due(plan: SessionPlan, now_ns: int, rested_ns: int, touch: Touch) -> bool:
-    """Tell whether an episode begins; one by contact only after the fingertips were free since the last one."""
-    if plan.on_contact:
-        free_ns, touched_ns = touch.free_ns, touch.touched_ns
-        return free_ns is not None and touched_ns is not None and rested_ns <= free_ns < touched_ns == now_ns
-    return plan.length_s is not None and now_ns - rested_ns >= 1e9 * plan.gap_s
+def _scheduled(mark: MarkKind, since_ns: int, after_s: float, now_ns: int) -> tuple[MarkKind, int] | None:
+    """Return a mark that is due some time after a moment, None before that."""
+    due_ns = since_ns + round(1e9 * after_s)
+    return (mark, due_ns) if now_ns >= due_ns else None
+
+
+def _touches_after_rest(now_ns: int, rested_ns: int, touch: Touch) -> bool:
+    """Tell whether a fingertip touches now, and the fingertips were free since the last episode."""
+    free_ns, touched_ns = touch.free_ns, touch.touched_ns
+    return free_ns is not None and touched_ns is not None and rested_ns <= free_ns < touched_ns == now_ns

@@ -133,9 +133,9 @@ class RunningSession:
     def _follow_plan(self, now_ns: int, by: MarkSource) -> None:
         if self._start_ns is None:
             return
-        mark = due_mark(self._plan, self._session, now_ns, self._start_ns, self._touch)
-        if mark is not None:
-            self._mark(mark, now_ns, by, "")
+        due = due_mark(self._plan, self._session, now_ns, self._start_ns, self._touch)
+        if due is not None:
+            self._mark(*due, by, "")
 
     def _mark(self, mark: MarkKind, stamp_ns: int, by: MarkSource, typed: str) -> None:
         kept = self._session.mark(mark, stamp_ns, by, typed)

@@ -9,7 +9,7 @@ import pytest
 
 from candata.errors import DataError, UsageError
 from candata.record.devices import device
-from candata.record.emulate_script import ceiling_hz, tip_pattern, to_counts, write_script
+from candata.record.emulate_script import ceiling_hz, joined, tip_pattern, to_counts, write_script
 from candata.schema.episode import Episode, EpisodeMeta
 
 XHAND = device("xhand")
@@ -35,7 +35,9 @@ def make(rows: int = 20, force: float = 3.0, **changes) -> Episode:
     arrays |= changes.pop("arrays", {})
     for name in changes.pop("without", ()):
         del arrays[name]
-    return Episode(EpisodeMeta(id="e", source="sim", rate_hz=80, task="push", **(fields | changes)), arrays)
+    return Episode(
+        EpisodeMeta(**{"id": "e", "source": "sim", "rate_hz": 80, "task": "push"} | fields | changes), arrays
+    )
 
 
 def write(episode: Episode, **options):
@@ -184,3 +186,26 @@ def test_a_device_without_taxels_is_emulated():
     assert script.taxel_counts.shape == (len(script), 5, 0, 3)
     assert not script.taxels_clipped.any()
     np.testing.assert_array_equal(script.force_counts, write_script(make(), "xhand", XHAND).force_counts)
+
+
+def test_episodes_are_joined_with_untouched_rests_in_their_first_rows():
+    first, second = make(), make(rows=15, force=5.0, task="slide")
+    whole = joined([first, second], 0.2)
+    between = slice(20, 36)  # 0.2 s at 80 Hz
+    assert len(whole) == 20 + 16 + 15 + 16
+    assert whole.meta.task is None
+    assert not whole["fingertip_force"][between].any()
+    assert not whole["fingertip_force"][51:].any()
+    for name in ("joint_position", "action", "object_pose"):
+        assert (whole[name][between] == second[name][0]).all()
+        assert (whole[name][51:] == first[name][0]).all()
+    for name in ("joint_position", "action", "fingertip_force", "object_pose"):
+        np.testing.assert_array_equal(whole[name][:20], first[name])
+        np.testing.assert_array_equal(whole[name][36:51], second[name])
+
+
+def test_episodes_of_another_rate_are_not_joined():
+    with pytest.raises(UsageError, match="do not play one after the other"):
+        joined([make(), make(rate_hz=40)], 1.0)
+    with pytest.raises(UsageError, match="no time"):
+        joined([make()], float("nan"))

@@ -54,15 +54,24 @@ def played(plan: SessionPlan, touching: list[bool]) -> list[tuple[int, int | Non
     session, touch = Session(), Touch()
     for second, is_touching in enumerate(touching):
         touch = touch.seen(second * 10**9, is_touching)
-        mark = due_mark(plan, session, second * 10**9, 0, touch)
-        if mark is not None:
-            session.mark(mark, second * 10**9, "schedule")
+        due = due_mark(plan, session, second * 10**9, 0, touch)
+        if due is not None:
+            session.mark(*due, "schedule")
     assert plan.is_done(session) == (len(session.episodes) == plan.episodes and session.open_episode is None)
     return [(e.begin_ns // 10**9, None if e.end_ns is None else e.end_ns // 10**9) for e in session.episodes]
 
 
 def test_a_schedule_rests_before_each_episode_and_ends():
     assert played(SessionPlan(2, 3.0, 2.0), [False] * 20) == [(2, 5), (7, 10)]
+
+
+def test_a_schedule_that_is_looked_at_late_does_not_run_late():
+    session, plan = Session(), SessionPlan(3, 1.2, 0.7)
+    for second in range(20):  # nobody looks more often than once a second
+        if due := due_mark(plan, session, second * 10**9, 0, Touch()):
+            session.mark(*due, "schedule")
+    assert [e.begin_ns for e in session.episodes] == [700_000_000, 2_600_000_000, 4_500_000_000]
+    assert {e.end_ns - e.begin_ns for e in session.episodes} == {1_200_000_000}
 
 
 @pytest.mark.parametrize("begins_in_touch", [False, True])
