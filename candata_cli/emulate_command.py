@@ -125,7 +125,6 @@ def emulate(
     Requests and replies come as a listener on the pair of wires sees them. Bytes that the reader does not take in
     time are lost, as on a real port. Ctrl-C ends it with a report.
     """
-    from candata.errors import UsageError
     from candata.record import emulate_files as files
     from candata.record.devices import hand
     from candata.record.emulate_faults import parse_faults
@@ -134,10 +133,7 @@ def emulate(
     for option, path in {"--with-table": with_table, "--truth": truth}.items():
         if path:
             check_output(path, "new", option)
-    if episode is not None and dataset is None:
-        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
-    if gap is not None and (dataset is None or episode is not None):
-        raise UsageError("--gap plays all episodes of a dataset", fix="give --dataset, and no --episode")
+    _check_choice(dataset, episode, gap)
     hand_name, scene_name, folder = session.place(device_name, scene, link, hold=hold, streams=streams, ports=ports)
     model, fault_plan = hand(hand_name), parse_faults(faults)
     encoder_of(hand_name, model)
@@ -165,6 +161,16 @@ def emulate(
     if truth:
         files.write_truth(truth, transmission, beside.arrays)
     _say_report({**transmission.report(), "streams": beside.reports}, as_json)
+
+
+def _check_choice(dataset: Path | None, episode: str | None, gap_s: float | None) -> None:
+    """Refuse a choice among the episodes of no dataset, or two choices."""
+    from candata.errors import UsageError
+
+    if episode is not None and dataset is None:
+        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
+    if gap_s is not None and (dataset is None or episode is not None):
+        raise UsageError("--gap plays all episodes of a dataset", fix="give --dataset, and no --episode")
 
 
 def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
