@@ -14,16 +14,16 @@ from candata.policy_evaluation.choice import Choice, choose
 from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
 from candata.policy_evaluation.filter_results import ChooserResult, FilterResult, StartResult, Withheld
-from candata.policy_evaluation.ranking import CONFIDENCE, wilson
+from candata.policy_evaluation.ranking import CONFIDENCE, DRAWS, wilson
 from candata.policy_evaluation.results import Interval
 from candata.scenes import Scene
 from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-#: Chunks drawn at a start for random choice in the withheld world, and bootstrap samples of a difference. Chosen: the
-#: first leaves a success share of a start uncertain by a sixth, which fifty starts average out.
-RANDOM_DRAWS, DRAWS = 8, 2000
+#: Chunks drawn at a start for random choice in the withheld world. Chosen: they leave a success share of a start
+#: uncertain by a sixth, which fifty starts average out.
+RANDOM_DRAWS = 8
 
 
 @dataclass(frozen=True, eq=False)
