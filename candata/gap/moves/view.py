@@ -1,0 +1,99 @@
+"""What a move sees: a set that was visited, on the few episodes on which proposals are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.added import here_of, pieces_of
+from candata.gap.candidates import Candidate
+from candata.gap.local import promising
+from candata.gap.response import Plane
+from candata.gap.score import Compact
+from candata.gap.screen import respond
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.stage import unheld
+from candata.gap.together import Responses, Sum, beside
+
+Index = NDArray[np.int64]
+MOST = 3
+
+
+@dataclass(frozen=True)
+class View:
+    """A visited set and what effects promise beside it.
+
+    Attributes
+    ----------
+    problem : Problem
+        All episodes.
+    part : Problem
+        A few of them.
+    index : (e,) int64
+        Which.
+    fit : Fit
+        The set.
+    alone : Responses
+        Every effect alone on the few episodes.
+    """
+
+    problem: Problem
+    part: Problem
+    index: Index
+    fit: Fit
+    alone: Responses
+
+    @property
+    def members(self) -> Members:
+        """The effects of the set with their values."""
+        return self.fit.members
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the set holds as many effects as are searched for."""
+        known = {c.name for c, _ in self.problem.measured}
+        return sum(c.name not in known for c, _ in self.members) >= MOST
+
+    @cached_property
+    def here(self) -> Compact:
+        """Residuals `(e, K)` of the few episodes with the set."""
+        return here_of(self.problem, self.fit)[self.index]
+
+    @cached_property
+    def pieces(self) -> Responses:
+        """How the residuals change with each member around where it is."""
+        return pieces_of(self.fit, self.here, self.index)
+
+    @cached_property
+    def now(self) -> float:
+        """Loss [floors] of the set on the few episodes."""
+        return float(self.part.score.loss(self.here).mean())
+
+    def beside(self, held: Members) -> list[Sum]:
+        """Return some members of the set with each other effect, by what signatures promise, the best first."""
+        kept = [piece for piece in self.pieces if any(piece[0] is c for c, _ in held)]
+        here = self.here if len(held) == len(self.members) else self._without(held)
+        others = self._responses(here, held)
+        kept = [(c, Plane(r.low, r.high, r.at, here, r.slope)) for c, r in kept]  # type: ignore[union-attr]
+        return beside(self.part, here, kept, others)
+
+    def _without(self, held: Members) -> Compact:
+        """Return residuals `(e, K)` with some members alone."""
+        return self.part.residuals([self.part.setting(held)])[0]
+
+    def _responses(self, here: Compact, held: Members) -> Responses:
+        """Return the responses of all effects, and of promising variants on one element, on top of some members."""
+        acting = {c.label for c, _ in held}
+        found, _ = respond(self.part, here, unheld(self.part, held), held)
+        base = self.part.score.loss(here)
+        variants = [v for v in promising(self.part, here, found, base) if v.label not in acting]
+        return [*found, *respond(self.part, here, variants, held)[0]]
+
+
+def free(view: View) -> list[tuple[Candidate, NDArray[np.float64]]]:
+    """Return the members that were searched for; one that was measured without a fit stays."""
+    known = {c.name for c, _ in view.problem.measured}
+    return [m for m in view.members if m[0].name not in known]
