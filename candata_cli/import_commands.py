@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -35,6 +36,7 @@ _OPTIONS = {
     "threshold_n": "--threshold",
     "release_n": "--release",
     "max_gap_periods": "--max-gap",
+    "labels": "--label",
 }
 _EXAMPLES = """\b
 Examples:
@@ -73,6 +75,8 @@ def import_(
     object_name: options.ObjectName = None,
     task: options.TaskName = None,
     episode: options.EpisodeId = None,
+    outcome: options.Outcome = None,
+    label: options.Labels = None,
 ) -> None:
     """Import recordings into a dataset: all of a source or nothing; the same source twice adds nothing."""
     from candata.errors import UsageError
@@ -89,6 +93,8 @@ def import_(
         "object": object_name,
         "task": task,
         "episode": episode,
+        "outcome": outcome,
+        "labels": _labels(label) if label else None,
     }
     stated_settings = {name: value for name, value in settings.items() if value is not None}
     labels = (
@@ -111,6 +117,24 @@ def import_(
         _refuse_options(refused_options, "`import table` reads it from its map and takes no")
     reading = {"allow_gaps": allow_gaps, "mapping": mapping, **labels} | ({"source": origin} if origin else {})
     _import_format(format_name, sources, out, append, reading)
+
+
+def _labels(pairs: list[str]) -> dict[str, bool | int | float | str]:
+    """Return labels from `NAME=VALUE`: a number where its text is how that number is written, else text."""
+    from candata.errors import UsageError
+
+    labels: dict[str, bool | int | float | str] = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not (name and equals and text) or name in labels:
+            raise UsageError("--label is no new name with its value", expected="NAME=VALUE, each name once", found=pair)
+        labels[name] = text
+        for number in (int, float):
+            with suppress(ValueError):
+                if str(number(text)) == text:
+                    labels[name] = number(text)
+                    break
+    return labels
 
 
 def _refuse_options(options: Mapping[str, object], problem: str) -> None:

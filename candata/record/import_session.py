@@ -89,7 +89,7 @@ def _cut(whole: Episode, marked: SessionEpisode) -> Episode | None:
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     update = {
         "id": f"{whole.meta.id}-{marked.number:04d}",
-        "outcome": marked.outcome,
+        "outcome": marked.outcome or whole.meta.outcome,
         "invalid_counts": invalid,
         "labels": {**whole.meta.labels, "session_episode": marked.number},
     }

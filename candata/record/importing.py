@@ -77,6 +77,10 @@ class ImportRecipe(Record):
         Name of the scene; `roles` is what its file says.
     object, task : str, optional
         Of the episode; else what the companions say, or the scene.
+    outcome : str, optional
+        Of the episode, and of those of a session that no mark judges.
+    labels : dict of str to bool, int, float or str
+        What else is known of the episodes.
     align : str
         How streams beside the hand are put on the clock of the log. `device`: by the device's own clock where it has
         one, else by the stamps; `clocks`: by motion too where it has none; `stamps`: by the stamps of arrival alone.
@@ -93,6 +97,8 @@ class ImportRecipe(Record):
     roles: SceneFile | None = None
     object: str | None = None
     task: str | None = None
+    outcome: str | None = Field(default=None, exclude_if=lambda outcome: outcome is None)
+    labels: dict[str, bool | int | float | str] = Field(default={}, exclude_if=lambda labels: not labels)
     align: Literal["device", "clocks", "stamps"] = "device"
 
 
@@ -189,6 +195,8 @@ def _meta(
         object=recipe.object
         or _first_stated([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
         task=recipe.task or _first_stated(c.task for c in companions),
+        outcome=recipe.outcome,
+        labels=recipe.labels,
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
