@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from candata import plugins
-from candata.errors import DataError
+from candata.errors import DataError, SetupError
 from candata.record.import_session import cut_episodes
 from candata.record.importing import ImportRecipe, import_log
 from candata.record.logs import read_log
@@ -27,7 +27,7 @@ CALIBRATE_S = 0.4
 MARKS = ["success", "begin", "success", "end", "begin", "discard", "end", "begin", "end"]
 
 
-def run(port, folder, plan=None, keys=(), at=None, rule=None, duration_s=None):
+def run(port, folder, plan=None, keys=(), at=None, rule=None, **settings):
     """Record a session; each of `keys` is typed once so many states were shown, and `at[states]` is done then."""
     notes, states, typed, actions = [], [0], list(keys), dict(at or {})
 
@@ -48,7 +48,7 @@ def run(port, folder, plan=None, keys=(), at=None, rule=None, duration_s=None):
         folder / LOG_NAME,
         name="xhand",
         settings=RecorderSettings(
-            duration_s=duration_s, calibrate_s=CALIBRATE_S, reserve_bytes=0, contact=rule or ContactRule()
+            calibrate_s=CALIBRATE_S, reserve_bytes=0, contact=rule or ContactRule(), **settings
         ),
         overrides={"session": folder.name},
         session=session,
@@ -148,3 +148,16 @@ def test_a_session_of_discarded_episodes_is_refused(hand, tmp_path):
     run(hand().port, folder, keys=[(40, " "), (50, "x"), (51, " ")], duration_s=0.5)
     with pytest.raises(DataError, match="no episode is left of the session"):
         episodes_of(folder)
+
+
+@pytest.mark.parametrize(("hush_at", "problem"), [(70, "the hand fell silent"), (0, "the port gave no byte")])
+def test_a_session_whose_hand_is_silent_ends_with_what_it_has(hush_at, problem, hand, tmp_path):
+    one, folder = hand(silent=not hush_at), tmp_path / "silent"
+    plan = SessionPlan(2, None, 0.1, True)
+    report, notes = run(one.port, folder, plan, [(45, " ")], {hush_at: one.hush}, silence_s=0.5, patience_s=0.2)
+    assert isinstance(report.failure, SetupError)
+    assert problem in report.failure.problem
+    assert sum("no bytes for" in note for note in notes) == 1
+    assert len(report.facts["episodes"]) == (1 if hush_at else 0)
+    if hush_at:
+        assert len(episodes_of(folder).episodes) == 1
