@@ -304,7 +304,7 @@ class _Recording:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
         self._window.append(states)
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
-            self._calibrate(join_states(self._window))
+            self._calibrate(join_states(self._window), stamps_ns[-1])
 
     def _touch(self, stamps_ns: list[int], force_N: NDArray) -> None:
         rule = self._settings.contact
@@ -314,9 +314,10 @@ class _Recording:
             self._session.begin(stamps_ns[0])
             self._session.touched(stamps_ns, flags)
 
-    def _calibrate(self, states: States) -> None:
+    def _calibrate(self, states: States, end_ns: int) -> None:
         settings = self._settings
-        self._calibration = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
+        resting = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
+        self._calibration = replace(resting, end_ns=self._writer.unix_ns(end_ns))
         self._window = None
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")

@@ -49,6 +49,14 @@ def test_marks_lead_to_the_same_session_again():
     assert again.episodes == session.episodes
 
 
+def test_lost_marks_give_no_episode_another_number():
+    marks = typed(" s  d  l ").marks
+    assert [mark.mark for mark in marks] == ["begin", "success", "end", "begin", "drop", "end", "begin", "slip", "end"]
+    first, second, third = typed(" s  d  l ").episodes
+    assert replay(marks[3:]).episodes == [second, third]
+    assert replay(marks[:1] + marks[4:]).episodes == [first.model_copy(update={"end_ns": None, "outcome": None}), third]
+
+
 def played(plan: SessionPlan, touching: list[bool]) -> list[tuple[int, int | None]]:
     """Follow a plan in steps of 1 s over what the fingertips do; return begin and end of each episode [s]."""
     session, touch = Session(), Touch()
