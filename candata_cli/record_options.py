@@ -30,7 +30,9 @@ Reconnect = Annotated[
 ]
 Silence = Annotated[
     float | None,
-    typer.Option("--silence", metavar="S", min=1.0, help="Session: it ends after so long without a state; 60 by default."),
+    typer.Option(
+        "--silence", metavar="S", min=1.0, help="Session: it ends after so long without a state; 60 by default."
+    ),
 ]
 ReserveMb = Annotated[
     int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")

@@ -52,7 +52,8 @@ def cut_episodes(whole: ImportedLog, log: Log) -> ImportedSession:
         return ImportedSession((whole.episode,), whole.details, whole.notes)
     session, drift = session_of(log)
     newest = max((mark.episode for mark in session.marks if mark.episode is not None), default=0)
-    lost = set(range(1, newest + 1)) - {e.number for e in session.episodes if e.end_ns is not None or e.number == newest}
+    whole_numbers = {e.number for e in session.episodes if e.end_ns is not None or e.number == newest}
+    lost = set(range(1, newest + 1)) - whole_numbers
     kept = [episode for episode in session.episodes if not (episode.discarded or episode.number in lost)]
     cuts = [(episode, _cut(whole.episode, episode)) for episode in kept]
     notes, episodes = list(whole.notes), [episode for _, episode in cuts if episode is not None]

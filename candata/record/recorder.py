@@ -76,7 +76,8 @@ def record(
     Raises
     ------
     UsageError
-        When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
+        When `out` exists, two streams have one name or address, the set-point to poll with is refused, or episodes
+        are to begin by contact and no force tells of one.
     SetupError
         When a port or address cannot be opened, the disk is full, or pyserial is missing; the report has later ones.
     """
@@ -90,6 +91,8 @@ def record(
     address = replace(address, baud=meta.baud)
     poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
     require_distinct(streams)
+    if session is not None:
+        session.check(meta.fingertip_names, settings.calibrate_s > 0)
     with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):

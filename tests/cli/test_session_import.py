@@ -44,7 +44,8 @@ def session(tmp_path):
     writer.states(stamps_ns.tolist(), states)
     marks = Session()
     for second, key in KEYS:
-        kept = marks.mark(marks.typed(key), 10**9 + round(second * 1e9), "key", key)
+        stamp_ns = 10**9 + round(second * 1e9)
+        kept = marks.mark(marks.typed(key, stamp_ns), stamp_ns, "key", key)
         writer.event(kept.time_ns, {"event": "mark", **kept.model_dump(mode="json", exclude={"time_ns"})})
     writer.close()
     return folder
@@ -94,6 +95,8 @@ def test_marks_that_are_lost_with_a_damaged_chunk_rename_no_episode(session):
         ((), "give --out LOG, or --session DIR"),
         (("--out", "a", "--episodes", 2), "only a session takes --episodes"),
         (("--session", "b", "--episodes", 2), "--episodes needs the length of an episode"),
+        (("--session", "b", "--start-on-contact", "--no-calibrate"), "no episode can begin by contact"),
+        (("--out", "a", "--silence", 5), "only a session takes --silence"),
         (("--session", "b", "--gap", 2), "--gap does nothing in a session by keys"),
         (("--session", "b", "--threshold", 0.2, "--release", 0.3), "do not make a rule of contact"),
     ],

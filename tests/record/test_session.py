@@ -11,7 +11,7 @@ def typed(keys: str) -> Session:
     """Type a key each second; keys that make no mark are passed over."""
     session = Session()
     for second, key in enumerate(keys):
-        mark = session.typed(key)
+        mark = session.typed(key, second * 10**9)
         if mark is not None:
             session.mark(mark, second * 10**9, "key", key)
     return session
