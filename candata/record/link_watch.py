@@ -1,4 +1,4 @@
-"""What a hand's line lacks while it is recorded: bytes, good frames, states. It is said, and a session may end of it."""
+"""What a hand's line lacks while it is recorded: bytes, good frames, states. It is said; a session may end of it."""
 
 from __future__ import annotations
 
