@@ -79,8 +79,8 @@ def recorded_success(dataset: Dataset, policies: Sequence[EvaluatedPolicy], star
         if facts.get("outcome") is None or facts.get("task") not in rows:
             continue
         if start not in known_names:
-            place = Where(path=str(dataset.path), episode=name)
-            raise UnknownNameError(f"episode in the label {START_LABEL!r}:", start, known_names, place)
+            labelled = Where(path=str(dataset.path), episode=name)
+            raise UnknownNameError(f"episode in the label {START_LABEL!r}:", start, known_names, labelled)
         if start not in columns:
             continue
         place = rows[facts["task"]], columns[start]

@@ -77,8 +77,8 @@ class HeldOut:
         """Return a line for each run that was trained on some of the starts, which `train` and `all` allow."""
         counts = {name: len(seen.intersection(starts)) for name, seen in self.seen_starts.items()}
         return tuple(
-            f"{name} was trained on {count} of the {len(starts)} starts, or on recordings from them: there it forecasts "
-            "what it has seen"
+            f"{name} was trained on {count} of the {len(starts)} starts, or on recordings from them: what it forecasts "
+            "there it has seen"
             for name, count in counts.items()
             if count
         )

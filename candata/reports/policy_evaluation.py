@@ -109,7 +109,7 @@ def _classes(evaluation: PolicyEvaluation) -> dict[str, str]:
 
 
 def ranking_figure(evaluation: PolicyEvaluation) -> Markup:
-    """Return predicted over seen success, a dot for each policy and world with its interval; empty where none was compared.
+    """Return predicted over seen success, a dot for each policy and world with its interval; empty without any pair.
 
     Those of one seen success stand side by side, policy by policy.
     """
