@@ -250,7 +250,7 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
     """Return the times that all streams cover, after the calibration; one beside the hand may fall silent."""
     states = log.state_time_ns
-    calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
+    calibrated_ns = _calibrated_ns(log)
     earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
     end_ns = min(int(s.time_ns[-1]) for s in streams if not is_logged(s))
     row = int(np.searchsorted(states, earliest))
@@ -268,6 +268,15 @@ def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: floa
             fix="record longer",
         )
     return grid_ns
+
+
+def _calibrated_ns(log: Log) -> int:
+    """Return when the calibration was over [ns]: a hand that was unplugged meanwhile was calibrated anew."""
+    if log.calibration is None:
+        return int(log.state_time_ns[0])
+    if log.calibration.end_ns is not None:
+        return log.calibration.end_ns
+    return int(log.state_time_ns[0]) + round(log.calibration.duration_s * 1e9)
 
 
 def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> int:
