@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -216,7 +217,8 @@ def _import_logs(
     if "episode" in settings and len(logs) > 1:
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
     _refuse_standing(out, append)
-    recipe = _recipe(settings)
+    recipe, scene_clouds = _recipe(settings)
+    clouds: list[NDArray] = []
     log_records: list[tuple[str, dict]] = []
 
     def lineage() -> Lineage:
@@ -232,9 +234,11 @@ def _import_logs(
     def episodes() -> Iterator[Episode]:
         for digest, session in _read_logs(logs, companions, recipe):
             log_records.append((digest, session.details))
+            if any(episode.meta.point_cloud for episode in session.episodes):
+                clouds[:] = scene_clouds
             yield from session.episodes
 
-    _publish(out, append, episodes(), "import log", lineage, part_size=1, replaces=replace)
+    _publish(out, append, episodes(), "import log", lineage, part_size=1, clouds=clouds, replaces=replace)
 
 
 def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[tuple[str, ImportedSession]]:
@@ -256,16 +260,22 @@ def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -
         yield imported_log.digest, session
 
 
-def _recipe(settings: dict) -> ImportRecipe:
-    """Return the recipe of an import, the scene's file read; it bears the file's name, not its path."""
+def _recipe(settings: dict) -> tuple[ImportRecipe, list[NDArray]]:
+    """Return the recipe of an import and the cloud of its scene's object; it bears the file's name, not its path."""
+    from candata.datasets.clouds import cloud_hash
     from candata.record.importing import ImportRecipe
 
+    clouds: list[NDArray] = []
     if "scene" in settings:
         from candata.scenes import load_scene
+        from candata.scenes.clouds import surface_cloud
 
         scene = load_scene(settings["scene"])
         settings = {**settings, "scene": Path(scene.name).name, "roles": scene.file}
-    return ImportRecipe.parse({"episode": "", **settings}, "options")
+        if scene.object_id is not None:
+            clouds = [surface_cloud(scene)]
+            settings["point_cloud"] = cloud_hash(clouds[0])
+    return ImportRecipe.parse({"episode": "", **settings}, "options"), clouds
 
 
 @console.stoppable()
@@ -337,12 +347,11 @@ def _publish(
 
     def add(root: Path) -> VersionFile:
         episode_stream = _with_progress(episodes, read_ids)
-        if replaces:
-            return publish_replacing(root, write_each(root, episode_stream, operation), lineage())
-        parts = write_parts(root, episode_stream, operation, part_size)
+        writes = write_each if replaces else partial(write_parts, part_size=part_size)
+        parts = writes(root, episode_stream, operation)
         for points in clouds:
             put_cloud(root, points)
-        return publish(root, parts, lineage())
+        return publish_replacing(root, parts, lineage()) if replaces else publish(root, parts, lineage())
 
     adds = append and out.exists()
     earlier_version = newest_version(out) if adds else None

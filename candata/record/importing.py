@@ -77,6 +77,8 @@ class ImportRecipe(Record):
         Name of the scene; `roles` is what its file says.
     object, task : str, optional
         Of the episode; else what the companions say, or the scene.
+    point_cloud : str, optional
+        Name of the cloud of the scene's object: of episodes with poses of that object.
     outcome : str, optional
         Of the episode, and of those of a session that no mark judges.
     labels : dict of str to bool, int, float or str
@@ -97,6 +99,7 @@ class ImportRecipe(Record):
     roles: SceneFile | None = None
     object: str | None = None
     task: str | None = None
+    point_cloud: str | None = Field(default=None, exclude_if=lambda name: name is None)
     outcome: str | None = Field(default=None, exclude_if=lambda outcome: outcome is None)
     labels: dict[str, bool | int | float | str] = Field(default={}, exclude_if=lambda labels: not labels)
     align: Literal["device", "clocks", "stamps"] = "device"
@@ -168,7 +171,10 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     episode_arrays = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
-    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid, clocks), episode_arrays)
+    meta = _meta(log, recipe, companions, names, rate_hz, invalid, clocks)
+    if recipe.roles is not None and "object_pose" in episode_arrays and meta.object == recipe.roles.object:
+        meta = meta.model_copy(update={"point_cloud": recipe.point_cloud})
+    episode = Episode(meta, episode_arrays)
     details = _details(path, log, recipe, companions, episode, scale)
     notes += [late_note] if late_note else []
     notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if in_bursts else []

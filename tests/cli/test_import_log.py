@@ -12,11 +12,12 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from candata.datasets import open_dataset
+from candata.datasets import get_cloud, open_dataset
 from candata.record.calibration import calibrate
 from candata.record.devices import Commands, States, device
 from candata.record.logs import LogWriter, meta_of
 from candata.scenes import load_scene
+from candata.scenes.clouds import surface_cloud
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
 from candata.simulate.episodes import EpisodeJob, make_episodes
@@ -146,6 +147,12 @@ def test_what_was_sent_comes_back(sent, imported):
     # Each row of commands is one that was sent, and rows do not slip: the host ran at the grid's rate.
     assert np.abs(episode["action"] - sent.episode["action"][source][rows]).max() < 1e-6
     assert np.array_equal(episode["taxels"], sent.taxels[rows])
+
+
+def test_the_shape_of_the_scenes_object_comes_along(sent, imported):
+    """A model that was trained on simulations of the scene can be fine-tuned on what was recorded."""
+    meta = open_dataset(imported).episode("run").meta
+    assert np.array_equal(get_cloud(imported, meta.point_cloud), surface_cloud(load_scene(SCENE)))
 
 
 def test_forces_are_what_was_sent_within_half_a_count(sent, imported):
