@@ -31,8 +31,7 @@ from busy_machine import busy, wait_for
 
 from candata.record.devices import hand, stream
 from candata.record.devices._wire import wire_time_ns
-from candata.record.emulate import WAITING_BYTES
-from candata.record.emulate_line import Line
+from candata.record.emulate_streams import SerialOutlet
 from candata.record.log_streams import LoggedStream
 from candata.record.logs import Log, read_log
 
@@ -136,18 +135,8 @@ def send_all(folder: Path) -> None:
 
 
 def _pty(link: Path) -> Callable[[bytes], bool]:
-    line, waiting = Line(link), bytearray()
-
-    def send(data: bytes) -> bool:
-        if not line.has_reader():
-            waiting.clear()
-            return False
-        is_taken = len(waiting) + len(data) <= WAITING_BYTES
-        waiting.extend(data if is_taken else b"")
-        del waiting[: line.write(bytes(waiting))]
-        return is_taken
-
-    return send
+    outlet = SerialOutlet(link)
+    return lambda data: outlet.write(data) == len(data)
 
 
 def _clients(server: socket.socket) -> Callable[[bytes], bool]:

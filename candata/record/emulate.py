@@ -23,8 +23,10 @@ DRAIN_S = 1.0
 #: Most that waits for a reader which is late, beside the 12 kB of the pseudo-terminal [bytes]. Source: Linux keeps so
 #: much for the reader of a serial port (`TTYB_DEFAULT_MEM_LIMIT` of tty_buffer.c, 65536; newer kernels keep more).
 WAITING_BYTES = 65_536
-#: Longest sleep, so that a stop is heard soon; and how soon a full port is tried again.
-_NAP_NS, _RETRY_NS = 50_000_000, 2_000_000
+#: How soon a full port is tried again [s].
+RETRY_S = 0.002
+#: Longest sleep, so that a stop is heard soon.
+_NAP_NS = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ class _Wire:
         """Hand over what is held unless a timer keeps it; return when to do so again [ns from now]."""
         if not self._timer_ns:
             self._hand_over()
-            return _RETRY_NS if self._held else _NAP_NS
+            return round(1e9 * RETRY_S) if self._held else _NAP_NS
         if now_ns >= self._tick_ns:
             self._hand_over()
             self._tick_ns += self._timer_ns * (1 + (now_ns - self._tick_ns) // self._timer_ns)

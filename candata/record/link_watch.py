@@ -13,9 +13,9 @@ from candata.record.recorder_values import RecorderSettings
 class LinkWatch:
     """Tells of silence and of bytes without a good frame, once each time it begins; a silent session ends."""
 
-    def __init__(self, settings: RecorderSettings, meta: LogMeta, opened_ns: int, is_session: bool) -> None:
-        """Begin with a port that was opened at `opened_ns`; only a session ends of silence."""
-        self._settings, self._meta, self._is_session = settings, meta, is_session
+    def __init__(self, settings: RecorderSettings, meta: LogMeta, opened_ns: int) -> None:
+        """Begin with a port that was opened at `opened_ns`."""
+        self._settings, self._meta = settings, meta
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
         self._plugged_ns = opened_ns
@@ -35,8 +35,8 @@ class LinkWatch:
         self._heard_ns = self._plugged_ns = stamp_ns
         self._bad_since_ns = 0
 
-    def check(self, now_ns: int, tally: RecorderTally, say: Callable[[str], None]) -> None:
-        """Say what is wrong with a port that is plugged in.
+    def check(self, now_ns: int, tally: RecorderTally, say: Callable[[str], None], in_session: bool) -> None:
+        """Say what is wrong with a port that is plugged in; only a session under way ends of silence.
 
         Raises
         ------
@@ -53,5 +53,5 @@ class LinkWatch:
         if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
             say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
-        if self._is_session and now_ns - max(self._plugged_ns, tally.last_ns or 0) > 1e9 * silence_s:
+        if in_session and now_ns - max(self._plugged_ns, tally.last_ns or 0) > 1e9 * silence_s:
             raise silent_session(tally, self._meta, silence_s) if tally.frames["state"] else no_state(tally, self._meta)

