@@ -18,8 +18,8 @@ from candata_cli.outputs import check_output
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from candata.record.import_recipe import ImportRecipe
     from candata.record.import_session import ImportedSession
-    from candata.record.importing import ImportRecipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
@@ -263,7 +263,7 @@ def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -
 def _recipe(settings: dict) -> tuple[ImportRecipe, list[NDArray]]:
     """Return the recipe of an import and the cloud of its scene's object; it bears the file's name, not its path."""
     from candata.datasets.clouds import cloud_hash
-    from candata.record.importing import ImportRecipe
+    from candata.record.import_recipe import ImportRecipe
 
     clouds: list[NDArray] = []
     if "scene" in settings:

@@ -11,8 +11,9 @@ import pytest
 from candata.datasets import open_dataset
 from candata.record.calibration import calibrate
 from candata.record.devices import States, hand
+from candata.record.import_recipe import ImportRecipe
 from candata.record.import_session import cut_episodes
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.importing import import_log
 from candata.record.logs import LogWriter, meta_of, read_log
 from candata.record.session import Session
 from candata.record.session_run import LOG_NAME

@@ -20,7 +20,8 @@ from candata.record.emulate import play
 from candata.record.emulate_faults import parse_faults
 from candata.record.emulate_line import Line
 from candata.record.emulate_script import write_script
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.import_recipe import ImportRecipe
+from candata.record.importing import import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import RecorderSettings

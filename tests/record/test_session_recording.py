@@ -10,8 +10,9 @@ import pytest
 
 from candata import plugins
 from candata.errors import DataError, SetupError, UsageError
+from candata.record.import_recipe import ImportRecipe
 from candata.record.import_session import cut_episodes
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.importing import import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import RecorderSettings
