@@ -98,13 +98,6 @@ def import_(
         "labels": _labels(label) if label else None,
     }
     stated_settings = {name: value for name, value in settings.items() if value is not None}
-    labels = (
-        {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings} if format_name != LOG else {}
-    )
-    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings} | {
-        "--with": companions,
-        "--replace": replace,
-    }
     if format_name == LOG:
         refused_options: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
         _refuse_options(refused_options, "`import log` takes no")
@@ -112,7 +105,9 @@ def import_(
             raise UsageError("--replace changes a dataset that stands", fix="give --append as well")
         _import_logs(sources, companions or [], stated_settings, out, append, replace)
         return
-    _refuse_options(only_log, "only `import log` takes")
+    labels = {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings}
+    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings}
+    _refuse_options(only_log | {"--with": companions, "--replace": replace}, "only `import log` takes")
     if format_name == TABLE:
         refused_options = {"--map": mapping, "--source": origin} | {f"--{name}": True for name in labels}
         _refuse_options(refused_options, "`import table` reads it from its map and takes no")
