@@ -23,7 +23,7 @@ SCENE = "gripper_tabletop"
 
 @dataclass(frozen=True)
 class BenchRequest:
-    """Which cases a run is asked to make; `scene` is empty for random small scenes."""
+    """Which cases a run is asked to make; `scene` is empty for random small scenes, `salt` null for a secret one."""
 
     scene: str
     traits: tuple[str, ...]
@@ -32,6 +32,7 @@ class BenchRequest:
     seed: int
     episodes: int
     duration_s: float | None
+    salt: str | None = None
 
 
 def bench_request(
@@ -124,6 +125,7 @@ def _make_in_one(out: Path, request: BenchRequest, crew: Crew) -> None:
         duration_s=length,
         only=request.only,
         live=live_effects,
+        salt=request.salt,
     )
     with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_cases(
@@ -155,6 +157,7 @@ def _make_small(out: Path, request: BenchRequest, crew: Crew) -> None:
             only=request.only,
             crew=crew,
             told=lambda _name: advance(1),
+            salt=request.salt,
         )
     with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_rig_cases(

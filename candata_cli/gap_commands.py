@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -33,6 +33,13 @@ Examples:
   candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
   candata gap bench --out /shared/bench --ray auto
   candata gap bench --out out/small --world random-small --counts null=300,one=200
+  candata gap bench --keep out/training --counts one=60,null=60
+  candata gap score out/training --out out/today --minutes 60
+
+\b
+With --keep the cases lie in a folder of their own, to be diagnosed by any version with candata gap score. The same
+command draws the same cases again: they are no sealed draw, and serve to compare searches (candata gap compare), not
+to judge one. Without --out nothing is diagnosed yet.
 
 \b
 With --world random-small every case brings a random small scene of its own, played by plain MuJoCo: null and one
@@ -57,11 +64,14 @@ which needs the packages of mujoco[sysid] and a parameter written for each effec
 LATEST_RESULTS = 21
 FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
+KEEP = "Keep the cases, and their labels, in this folder: always the same ones, to compare searches on."
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 WORLD = "Draw a random small scene for each case, played by plain MuJoCo: random-small (default: one --scene)."
 TRAITS = "Traits of random small scenes that take turns, comma separated (default: half plain, half the others)."
 SCORE_EXAMPLE = """\b
-Example: candata gap score cases --labels sealed.json --out out/score
+Examples:
+  candata gap score out/training --out out/score
+  candata gap score cases --labels sealed.json --out out/score
 
 \b
 A case is a folder: a candata dataset with a case.json beside its files,
@@ -81,7 +91,8 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable()
 def bench(
-    out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the run; an interrupted one goes on.")] = None,
+    keep: Annotated[Path | None, typer.Option(metavar="DIR", help=KEEP)] = None,
     scene: Annotated[
         str | None, typer.Option(help=f"Nominal simulator: a scene.yaml or a built-in scene (default: {SCENE}).")
     ] = None,
@@ -116,25 +127,74 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    check_output(out, "folder")
-    from candata.gap.blind.cases import CASES, LABELS
+    from candata.gap.blind.cases import CASES, LABELS, TRAINING_SALT
     from candata.simulate.cluster import crew_of
 
+    folder = _case_folder(out, keep)
     request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
+    request = replace(request, salt=None if keep is None else TRAINING_SALT)
     baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
-    with console.stoppable(lambda: _kept_text(out), goes_on=True), bench_lock(out), crew_of(jobs, ray, out) as crew:
-        make(out, request, crew)
+    with (
+        console.stoppable(lambda: _kept_text(folder, out), goes_on=True),
+        bench_lock(folder),
+        crew_of(jobs, ray, folder) as crew,
+    ):
+        make(folder, request, crew)
+        if out is None:
+            _print_kept(folder, json)
+            return
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, baseline_names, baseline_cases, stop_time, follow)
-        _diagnose_and_score(run, json)
+        cases, labels = folder / CASES, folder / LABELS
+        run = _Run(out, cases, labels, crew, seed, None, baseline_names, baseline_cases, stop_time, follow)
+        with nullcontext() if out == folder else bench_lock(out):
+            _diagnose_and_score(run, json)
+
+
+def _case_folder(out: Path | None, keep: Path | None) -> Path:
+    """Return the folder in which a bench makes its cases, once all folders are tried.
+
+    Raises
+    ------
+    UsageError
+        When there is none, or when one folder is to be both.
+    """
+    from candata.errors import UsageError
+
+    folder = keep or out
+    if folder is None:
+        raise UsageError(
+            "no folder for the cases",
+            expected="--out DIR for a run, --keep DIR for cases that are kept, or both",
+            fix="add --out DIR",
+        )
+    if out is not None and keep is not None and out.resolve() == keep.resolve():
+        raise UsageError("--out and --keep are one folder", found=str(out), fix="give each a folder of its own")
+    for path, option in ((out, "--out"), (keep, "--keep")):
+        if path is not None:
+            check_output(path, "folder", option)
+    return folder
+
+
+def _print_kept(folder: Path, json: bool) -> None:
+    """Print how many cases are kept in a folder."""
+    from candata.gap.blind.cases import CASES, read_cases
+
+    count = len(read_cases(folder / CASES))
+    if json:
+        console.out_json({"folder": str(folder), "cases": count})
+        return
+    console.out(f"{count} cases are kept in {folder}")
+    console.note(f"diagnose them: candata gap score {folder} --out DIR")
 
 
 @console.stoppable()
 def score(
-    cases: Annotated[Path, typer.Argument(help="Folder of cases.")],
-    labels: Annotated[Path, typer.Option(help="The sealed labels.")],
+    cases: Annotated[Path, typer.Argument(help="Folder of cases, or what candata gap bench wrote.")],
     out: Annotated[Path, typer.Option(help="Folder for results and score; an interrupted run goes on.")],
+    labels: Annotated[
+        Path | None, typer.Option(help="The sealed labels (default: those beside cases that a bench made).")
+    ] = None,
     scene: Annotated[str | None, typer.Option(help="Nominal simulator, instead of the one each case names.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of each diagnosis.")] = 0,
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
@@ -144,15 +204,43 @@ def score(
     minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
-    """Diagnose and score cases that were made elsewhere."""
+    """Diagnose and score cases that were kept, or made elsewhere."""
     check_output(out, "folder")
     from candata.simulate.cluster import crew_of
 
+    cases, labels = _cases_and_labels(cases, labels)
     baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
-    with console.stoppable(lambda: _kept_text(out), goes_on=True), bench_lock(out), crew_of(jobs, ray, out) as crew:
+    with (
+        console.stoppable(lambda: _kept_text(out, out), goes_on=True),
+        bench_lock(out),
+        crew_of(jobs, ray, out) as crew,
+    ):
         _diagnose_and_score(
             _Run(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, stop_time), json
         )
+
+
+def _cases_and_labels(cases: Path, labels: Path | None) -> tuple[Path, Path]:
+    """Return the folder of cases and the file of their labels, both found in a bench's folder where that is given.
+
+    Raises
+    ------
+    UsageError
+        When no labels are given, and none are there.
+    """
+    from candata.errors import UsageError, Where
+    from candata.gap.blind.cases import CASES, LABELS
+
+    if labels is not None:
+        return cases, labels
+    if not (cases / LABELS).is_file():
+        raise UsageError(
+            "no labels for the cases",
+            expected=f"--labels FILE, or {LABELS} in the folder",
+            where=Where(path=str(cases)),
+            fix="add --labels FILE",
+        )
+    return cases / CASES, cases / LABELS
 
 
 def bench_lock(out: Path) -> AbstractContextManager[None]:
@@ -263,14 +351,19 @@ def _baseline_scores(run: _Run, places: list[Place], outcomes: list[Outcome]) ->
     return tuple(scores)
 
 
-def _kept_text(out: Path) -> str:
-    """Return what stands of a run, as a clause."""
+def _kept_text(folder: Path, out: Path | None) -> str:
+    """Return what stands of a run, as a clause: cases in `folder`, results in `out`."""
     from candata.gap.blind.cases import CASE, CASES
     from candata.gap.blind.running import known as standing_results
 
-    case_count = len(list((out / CASES).glob(f"[!.]*/{CASE}")))
-    cases = f"{case_count} cases and " if case_count else ""
-    return f"{cases}{len(standing_results(out))} results are kept in {out}"
+    case_count = len(list((folder / CASES).glob(f"[!.]*/{CASE}")))
+    cases = f"{case_count} cases" if case_count or out is None else ""
+    if out is None:
+        return f"{cases} are kept in {folder}"
+    results = f"{len(standing_results(out))} results are kept in {out}"
+    if not cases or out == folder:
+        return f"{cases} and {results}" if cases else results
+    return f"{cases} are kept in {folder}, {results}"
 
 
 def end_time(minutes: float | None) -> float:

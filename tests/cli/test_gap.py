@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from candata.datasets import open_dataset
 from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
+from candata.gap.blind.cases import read_cases
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
@@ -128,6 +130,35 @@ def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
     assert (done.code, done.out) == (2, "")
     assert text in done.err
     assert not (tmp_path / "b").exists()
+
+
+def test_kept_cases_are_the_same_again_and_wait_to_be_diagnosed(quiet, tmp_path):
+    command = ("gap", "bench", *SMALL, *FEW, "--keep")
+    first = run(*command, tmp_path / "a")
+    assert first.code == 0
+    assert first.out == f"3 cases are kept in {tmp_path / 'a'}\n"
+    assert not (tmp_path / "a" / "results.jsonl").exists()
+    kept = (tmp_path / "a" / "sealed.json").read_bytes()
+    digests = {path.name: open_dataset(path).digest for path in read_cases(tmp_path / "a" / "cases")}
+    assert run(*command, tmp_path / "b", "--out", tmp_path / "score").code == 0
+    assert (tmp_path / "b" / "sealed.json").read_bytes() == kept
+    assert {path.name: open_dataset(path).digest for path in read_cases(tmp_path / "b" / "cases")} == digests
+    again = run("gap", "score", tmp_path / "a", "--out", tmp_path / "again", "--jobs", 1)
+    assert again.out.startswith("cube_toss: 3 of 3 cases")
+    pair = run("gap", "compare", tmp_path / "score", tmp_path / "again", "--json")
+    assert json.loads(pair.out)["cases"] == 3
+
+
+def test_a_bench_without_a_folder_or_with_one_for_two_things_is_refused(tmp_path):
+    for folders, text in (
+        ((), "no folder for the cases"),
+        (("--out", tmp_path / "x", "--keep", tmp_path / "x"), "are one folder"),
+    ):
+        done = run("gap", "bench", *SMALL, *folders)
+        assert (done.code, done.out) == (2, "")
+        assert text in done.err
+    done = run("gap", "score", tmp_path, "--out", tmp_path / "s")
+    assert "no labels for the cases" in done.err
 
 
 RANDOM = ("--world", "random-small", "--jobs", 1, "--episodes", 2, "--duration-s", 1.2)

@@ -11,6 +11,7 @@ whose texts are `Label` records. `sealed` is sha256 over the bytes of the text a
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -35,6 +36,8 @@ from candata.simulate.jobs import possible_policies
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 CASE, LABELS, CASES = "case.json", "sealed.json", "cases"
+#: Salt of cases that are kept to train on: no secret, so that the same command draws the same cases anywhere.
+TRAINING_SALT = hashlib.sha256(b"candata training bench").hexdigest()
 Told = Callable[[str], None]
 
 
