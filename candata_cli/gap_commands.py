@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from candata.schema.bench import BenchFile, CaseResult, FilledSignature
     from candata.simulate.crew import Crew
 
+NOISES = ("declared", "misdeclared", "undeclared", "mixed")
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
 BENCH_EXAMPLE = """\b
 Examples:
@@ -65,6 +66,10 @@ LATEST_RESULTS = 21
 FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 KEEP = "Keep the cases, and their labels, in this folder: always the same ones, to compare searches on."
+NOISE = (
+    f"What diagnoses are told of the sensors' noise: {', '.join(NOISES)}. Misdeclared is half to twice the truth; "
+    "mixed takes turns."
+)
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 WORLD = "Draw a random small scene for each case, played by plain MuJoCo: random-small (default: one --scene)."
 TRAITS = "Traits of random small scenes that take turns, comma separated (default: half plain, half the others)."
@@ -114,6 +119,7 @@ def bench(
         ),
     ] = "",
     only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
+    noise: Annotated[str, typer.Option(help=NOISE)] = NOISES[0],
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
@@ -131,7 +137,7 @@ def bench(
     from candata.simulate.cluster import crew_of
 
     folder = _case_folder(out, keep)
-    request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
+    request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s, noise)
     request = replace(request, salt=None if keep is None else TRAINING_SALT)
     baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
     with (
@@ -277,7 +283,9 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     from candata.reports.bench import bench_text, write_bench
 
     cases = read_cases(run.cases)
-    places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
+    places = [
+        Place(path, run.scene or scene_of(path, case), case.sealed, case.noise_declared) for path, case in cases.items()
+    ]
     present_results = standing_results(run.out)
     places_left = [p for p in places if p.sealed not in present_results]
     cache_fill = _filled_cache(run, places_left)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
 from candata.schema.report import Report
 
 Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local", "change"]
+#: What a diagnosis is told of the sensors' noise: the truth, another size, or nothing.
+NoiseCase = Literal["declared", "misdeclared", "undeclared"]
 
 
 class CaseFile(ResultRecord):
     """`case.json`, beside the dataset of a case: what may be known before the labels are opened.
 
     `scene` is a built-in scene or a `scene.yaml`, a relative path counting from the case's folder; `sealed` is
-    sha256(label + salt).
+    sha256(label + salt). Without `noise_declared` the diagnosis is told nothing of what the scene says of its noise.
     """
 
     name: str
@@ -23,6 +27,7 @@ class CaseFile(ResultRecord):
     scene_digest: str | None = None
     episodes: int
     sealed: str
+    noise_declared: bool = Field(default=True, exclude_if=lambda is_declared: is_declared)
 
 
 class OutsideCause(ResultRecord):
@@ -38,7 +43,8 @@ class Label(ResultRecord):
     """The truth of a case: `effects` of the library in its world, `main` the one that stands above a background.
 
     `seed` feeds the noise of the case and keeps its hash from being guessed. `trait` says what marks a random small
-    scene; null in the scenes of the library.
+    scene; null in the scenes of the library. The sensors' true noise is `noise_factor` times what the scene declares;
+    `noise` says whether that is what the diagnosis is told.
     """
 
     case: str
@@ -48,6 +54,8 @@ class Label(ResultRecord):
     outside: OutsideCause | None = None
     trait: str | None = None
     seed: int = 0
+    noise: NoiseCase = Field(default="declared", exclude_if=lambda kind: kind == "declared")
+    noise_factor: float = Field(default=1.0, exclude_if=lambda factor: factor == 1.0)
 
 
 class LabelsFile(ResultRecord):

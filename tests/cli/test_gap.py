@@ -11,6 +11,7 @@ from candata.datasets import open_dataset
 from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
 from candata.gap.blind.cases import read_cases
+from candata.gap.blind.draws import NOISES
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
@@ -123,6 +124,7 @@ def test_labels_that_were_changed_are_refused(bench, quiet, tmp_path):
         (("--counts", "one=many"), "like one=120,null=40"),
         (("--baselines", "oracel"), "did you mean 'oracle'?"),
         (("--only", "object_mas"), "did you mean 'object_mass'?"),
+        (("--noise", "undeclred"), "did you mean 'undeclared'?"),
     ],
 )
 def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
@@ -190,6 +192,7 @@ def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_pat
         (("--world", "random-small", "--traits", "springy"), "did you mean 'spring'?"),
         (("--world", "random-small", "--kinds", "pair"), "null, one"),
         (("--world", "random-small", "--only", "backlash"), "planted cause"),
+        (("--world", "random-small", "--noise", "mixed"), "whether their noise is declared"),
     ],
 )
 def test_what_a_random_small_world_does_not_take_is_refused(tmp_path, wrong, text):
@@ -207,5 +210,6 @@ def test_missing_cases_are_refused(tmp_path):
 
 def test_the_help_lists_the_kinds_and_baselines_that_there_are():
     assert gap_commands.BASELINES == BASELINES
+    assert tuple(NOISES) == gap_commands.NOISES
     text = run("gap", "bench", "--help").out
     assert all(word in " ".join(text.split()) for word in (*gap_commands.KINDS, "Examples:"))

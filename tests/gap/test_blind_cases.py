@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +33,7 @@ from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
+from candata.statistics import noise_sd
 from tests.gap.conftest import ARM, ROLES
 
 SALT = "ab" * 32
@@ -167,6 +170,36 @@ def test_a_diagnosis_that_fails_is_a_result(run, tmp_path):
 
     (result,) = run_cases(tmp_path, places(run)[:1], judge=failing)
     assert (result.report, result.error) == (None, "nothing to compare")
+
+
+def hearing(told, noise, dataset, scene, seed, cache):
+    """Find nothing, and keep the scene that was told."""
+    told[noise] = scene
+    return silent(dataset, scene, seed, cache)
+
+
+def test_noise_that_is_not_as_declared_is_in_the_recordings_and_a_diagnosis_is_not_told(tmp_path, cube):
+    sizes, told = {}, {}
+    for noise in ("declared", "misdeclared", "undeclared"):
+        sealed = seal_labels(tmp_path / noise, cube, {"null": 1}, noise=noise, salt=SALT, **SMALL)
+        (path,) = make_cases(tmp_path / noise, SCENE, sealed, **SMALL)
+        (case,) = read_cases(path.parent).values()
+        (label,) = open_labels({path: case}, sealed).values()
+        pose = np.concatenate([e["object_pose"][:, :3] for e in open_dataset(path)])
+        sizes[noise] = noise_sd(pose, 0, 0).mean() / label.noise_factor
+        place = Place(path, SCENE, case.sealed, case.noise_declared)
+        run_cases(tmp_path / noise, [place], judge=partial(hearing, told, noise))
+    assert told["undeclared"].file.noise is None
+    assert told["misdeclared"].file.noise == told["declared"].file.noise == cube.file.noise
+    # Of some 60 rows each a spread is known to a tenth; a throw's own bend adds little.
+    assert sizes["misdeclared"] == pytest.approx(sizes["declared"], rel=0.3)
+    assert sizes["undeclared"] == pytest.approx(sizes["declared"], rel=0.3)
+
+
+def test_noise_cannot_be_withheld_by_a_scene_that_declares_none(tmp_path, arm):
+    silent_scene = replace(arm, file=arm.file.model_copy(update={"noise": None}))
+    with pytest.raises(UsageError, match="declares no noise"):
+        seal_labels(tmp_path, silent_scene, {"null": 1}, noise="undeclared", **SMALL)
 
 
 def test_a_scene_file_is_found_from_its_case(tmp_path, run):

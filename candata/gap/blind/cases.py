@@ -25,6 +25,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
 from candata.gap.conclusion import lasting
+from candata.gap.noise import scaled_noise
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode
@@ -51,6 +52,7 @@ def seal_labels(
     duration_s: float = 3.2,
     only: Sequence[str] = (),
     live: Callable[[], Sequence[str]] = lambda: (),
+    noise: str = "declared",
     salt: str | None = None,
 ) -> LabelsFile:
     """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
@@ -71,14 +73,24 @@ def seal_labels(
         Effects that were asked for; all, when empty.
     live : callable
         Returns the effects to draw from; asked for a fresh draw alone.
+    noise : str
+        What diagnoses are told of the sensors' noise, as in `draw_labels`.
     salt : str, optional
         The secret, hex of 32 bytes; random by default.
 
     Raises
     ------
     UsageError
-        When the run that stands there was asked for something else.
+        When the run that stands there was asked for something else, or when the scene declares no noise that could be
+        wrong or withheld.
     """
+    if noise != "declared" and scene.file.noise is None:
+        raise UsageError(
+            f"scene {scene.name} declares no noise",
+            expected="`noise` in the scene file",
+            found=f"cases with noise that is {noise}",
+            fix="leave --noise out, or declare the sensors' noise",
+        )
     asked: dict[str, str | int | float] = {
         "scene": scene.name,
         "scene_digest": scene.digest,
@@ -87,12 +99,13 @@ def seal_labels(
         "duration_s": duration_s,
         "only": ",".join(only),
         **{f"count_{k}": n for k, n in counts.items()},
+        **({} if noise == "declared" else {"noise": noise}),
     }
     path = out / LABELS
     if not path.exists():
         secret = salt or new_salt()
         rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
-        drawn = draw_labels(scene, counts, rng, live() or only)
+        drawn = draw_labels(scene, counts, rng, live() or only, noise)
         write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
     return standing_labels(out, asked)
 
@@ -188,7 +201,12 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     made = hidden_world(scene, label, plans, duration_s)
     shutil.rmtree(path, ignore_errors=True)
     case = CaseFile(
-        name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
+        name=path.name,
+        scene=_seen_from(scene_name, path),
+        scene_digest=scene.digest,
+        episodes=episodes,
+        sealed=sealed,
+        noise_declared=label.noise != "undeclared",
     )
     with draft_beside(path) as drafts:
         draft = drafts / path.name
@@ -205,7 +223,7 @@ def hidden_world(scene: Scene, label: Label, plans: Sequence[EpisodeJob], durati
     Parameters
     ----------
     scene : Scene
-        The nominal scene.
+        The scene with the noise that it declares, whatever a diagnosis is told.
     label : Label
         The truth.
     plans : sequence of Job
@@ -213,8 +231,9 @@ def hidden_world(scene: Scene, label: Label, plans: Sequence[EpisodeJob], durati
     duration_s : float
         Length of an episode [s]; a motion has its own.
     """
-    alter = alter_with(scene, label.outside)
-    return make_episodes(scene, plans, duration_s=duration_s, noise=scene.file.noise, alter=alter)
+    alter, declared = alter_with(scene, label.outside), scene.file.noise
+    noise = declared if declared is None or label.noise_factor == 1 else scaled_noise(declared, label.noise_factor)
+    return make_episodes(scene, plans, duration_s=duration_s, noise=noise, alter=alter)
 
 
 def _seen_from(scene: str, folder: Path) -> str:

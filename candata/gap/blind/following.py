@@ -14,7 +14,7 @@ from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.running import CACHE, Place, finished, run_case, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.proposal import PLAYED
-from candata.scenes import Scene
+from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.manifest import Lineage
 from candata.schema.report import Report
@@ -102,5 +102,9 @@ def again(
     both = Path(folder)
     shutil.rmtree(both, ignore_errors=True)
     create_dataset(both, both.name)
-    append(both, [*case, *hidden_world(scene, truth, plans)], Lineage(operation="blind case", sealed=sealed))
+    append(
+        both,
+        [*case, *hidden_world(load_scene(scene.name), truth, plans)],
+        Lineage(operation="blind case", sealed=sealed),
+    )
     return diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache, calibrate=False).report

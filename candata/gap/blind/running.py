@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
-from candata.gap.conclusion import lasting
+from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.diagnosis import diagnose
-from candata.scenes import Scene, load_scene
+from candata.scenes import Scene
 from candata.schema.bench import CaseResult
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
@@ -29,16 +29,22 @@ R = TypeVar("R", bound=Record)
 
 
 class Place(NamedTuple):
-    """Where a case lies: its folder, what `load_scene` takes for its scene, and the hash of its label."""
+    """Where a case lies: its folder, what `load_scene` takes, the hash of its label; whether its noise is declared."""
 
     folder: Path
     scene: str
     sealed: str
+    noise_declared: bool = True
 
     @property
-    def anywhere(self) -> tuple[str, str, str]:
+    def nominal(self) -> NominalScene:
+        """The simulator in which it is diagnosed."""
+        return NominalScene(self.scene, self.noise_declared)
+
+    @property
+    def anywhere(self) -> tuple[str, NominalScene, str]:
         """The same in plain words that hold in any process: folder and scene file by their whole paths."""
-        return str(self.folder.resolve()), lasting(self.scene), self.sealed
+        return str(self.folder.resolve()), self.nominal.anywhere, self.sealed
 
 
 def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Report:
@@ -82,9 +88,9 @@ def run_cases(
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
     standing = known(out, method)
-    sharing = Counter(p.scene for p in cases)
+    sharing = Counter(p.nominal for p in cases)
     cold = {p.sealed for p in cases[: min(max(len(cases) // COLD_EACH, 1), COLD)]}
-    cold |= {p.sealed for p in cases if sharing[p.scene] == 1}
+    cold |= {p.sealed for p in cases if sharing[p.nominal] == 1}
     tasks = [
         (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
         for p in cases
@@ -140,14 +146,14 @@ def in_time(until: float, work: Callable[..., R], *task: Any) -> R | None:
 
 
 def run_case(
-    folder: str, scene: str, sealed: str, seed: int, method: str, judge: Judge, cache: str | None
+    folder: str, scene: NominalScene, sealed: str, seed: int, method: str, judge: Judge, cache: str | None
 ) -> CaseResult:
     """Return the result of one case; without a cache it is a cold one.
 
     A method that fails on a case has not solved it: the failure is the result.
     """
     path = Path(folder)
-    world = load_scene(scene)
+    world = scene.load()
     start, report, error = time.process_time(), None, None
     try:
         report = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
