@@ -70,6 +70,8 @@ class CaseResult(ResultRecord):
     """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not; `sealed` is the case's own.
 
     `cold` marks a case that was diagnosed with nothing kept from others; `process` is the number of the process.
+    `replays` is what the diagnosis simulated, in replays of all episodes of the case: a cost that no machine changes.
+    With a cache it counts what was not kept yet, so that it depends on which cases came before; null where unknown.
     """
 
     case: str
@@ -78,6 +80,7 @@ class CaseResult(ResultRecord):
     cpu_s: float
     cold: bool
     process: int = 0
+    replays: float | None = None
     report: Report | None = None
     error: str | None = None
 

@@ -12,6 +12,7 @@ from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
 from candata.gap.blind.cases import read_cases
 from candata.gap.blind.draws import NOISES
+from candata.gap.blind.running import Answer
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
@@ -27,7 +28,7 @@ def quiet(monkeypatch):
 
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-        return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+        return Answer(Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts)), 3.0)
 
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
 

@@ -25,7 +25,7 @@ from candata.gap.blind.cases import (
     scene_of,
     seal_labels,
 )
-from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Place, finished, run_cases
+from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Answer, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
 from candata.policies import policy
@@ -58,7 +58,7 @@ def places(run):
 def silent(dataset, scene, seed, cache):
     """Find nothing."""
     counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-    return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+    return Answer(Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts)))
 
 
 def test_the_labels_are_for_the_owner_only(run):

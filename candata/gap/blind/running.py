@@ -22,10 +22,19 @@ from candata.schema.report import Report
 from candata.simulate.crew import Crew, alone
 
 RESULTS, CACHE = "results.jsonl", "cache"
-Judge = Callable[[Dataset, Scene, int, Path | None], Report]
 #: Cases diagnosed with nothing kept, to tell what a first one costs: one, and of many one in so many, up to so many.
 COLD_EACH, COLD = 40, 3
 R = TypeVar("R", bound=Record)
+
+
+class Answer(NamedTuple):
+    """What a method says of a case, and what it simulated for it, in replays of all of its episodes."""
+
+    report: Report
+    replays: float | None = None
+
+
+Judge = Callable[[Dataset, Scene, int, Path | None], Answer]
 
 
 class Place(NamedTuple):
@@ -47,9 +56,10 @@ class Place(NamedTuple):
         return str(self.folder.resolve()), self.nominal.anywhere, self.sealed
 
 
-def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Report:
-    """Return candata's own report of a dataset; signatures are kept in `cache`, or not at all."""
-    return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False).report
+def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Answer:
+    """Return candata's own answer to a dataset; signatures are kept in `cache`, or not at all."""
+    found = diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False)
+    return Answer(found.report, found.replays)
 
 
 def run_cases(
@@ -76,7 +86,7 @@ def run_cases(
     seed : int
         Seed of each diagnosis.
     judge : callable
-        `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module. The first case, of many
+        `(dataset, scene, seed, cache) -> Answer`; for other processes a function of a module. The first case, of many
         the first few, is diagnosed with no cache: what it costs is what a diagnosis costs that finds nothing kept. The
         same holds for a case that shares its scene with no other.
     method : str
@@ -154,9 +164,9 @@ def run_case(
     """
     path = Path(folder)
     world = scene.load()
-    start, report, error = time.process_time(), None, None
+    start, answer, error = time.process_time(), None, None
     try:
-        report = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
+        answer = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
     except CandataError as problem:
         error = problem.problem
     spent = time.process_time() - start
@@ -167,7 +177,8 @@ def run_case(
         cpu_s=spent,
         cold=cache is None,
         process=os.getpid(),
-        report=report,
+        replays=answer.replays if answer else None,
+        report=answer.report if answer else None,
         error=error,
     )
 
