@@ -275,7 +275,7 @@ class _Run:
 def _diagnose_and_score(run: _Run, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
-    from candata.gap.blind.outcomes import Outcome
+    from candata.gap.blind.opening import opened
     from candata.gap.blind.running import Place, run_cases
     from candata.gap.blind.running import known as standing_results
     from candata.gap.blind.scoring import score_run
@@ -300,7 +300,7 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     case_count = sum(bool(labels[p.folder.name].effects) for p in done_places)
     with console.progress("weighing true causes", case_count) as advance:
         shares = measure_shares(run.out, done_places, labels, crew=run.crew, told=advance)
-    outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
+    outcomes = opened(places, results, labels, shares)
     follow_ups = _followed_outcomes(run, done_places, outcomes) if run.follow else []
     scenes = {p.scene for p in places}
     title = places[0].scene if len(scenes) == 1 else f"{len(scenes)} scenes"

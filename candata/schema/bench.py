@@ -140,6 +140,23 @@ class Miss(ResultRecord):
     gap: float | None = None
 
 
+class CaseScore(ResultRecord):
+    """The score of one case, for comparing runs case by case: `right` is whether it is no miss.
+
+    `log_score` [nats] and `brier_score` sum over all effects of the library: the belief that a report states (of a
+    named effect its support, of each of n in an ambiguous class 1/n, of any other 0) against what is there. 0 is best;
+    null for a background, in which a little of everything is there.
+    """
+
+    case: str
+    sealed: str
+    kind: Kind
+    noise: NoiseCase = "declared"
+    right: bool
+    log_score: float | None = None
+    brier_score: float | None = None
+
+
 class ChangedCase(ResultRecord):
     """A case that two versions take differently: its name, and what each said, `right` after what is right."""
 
@@ -173,6 +190,12 @@ class Bin(ResultRecord):
 class BenchFile(ResultRecord):
     """`bench.json`: the table, the misses, the confusion matrix and the calibration curve of one method.
 
+    Of the rows, these need a word. "Parameter error" is over the size of the true value; "error over the deviation" is
+    |found - true| / |true - model's own|, which no value near the model's own can flatter. "Coverage" counts right
+    names, "wrong names too" also effects that are not there, whose true value is the model's own. "Calibration error"
+    is small for whoever is mostly right; Brier and log score are not: they are means of the cases' scores (see
+    `CaseScore`) with "silence counted", and of named effects alone. `scores` are those of each case.
+
     `confusion` maps a true cause to what was said first and how often; `baselines` are other methods, and this one,
     on the cases that the others were given.
     """
@@ -185,4 +208,5 @@ class BenchFile(ResultRecord):
     misses: tuple[Miss, ...]
     confusion: dict[str, dict[str, int]]
     calibration: tuple[Bin, ...]
+    scores: tuple[CaseScore, ...] = ()
     baselines: tuple[BenchFile, ...] = ()

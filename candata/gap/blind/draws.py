@@ -122,6 +122,11 @@ def neutral(name: str, scene: Scene) -> Array:
     return np.concatenate([np.full(p.size(scene), _own(p, scene)) for p in effect(name).parameters])
 
 
+def own_values(name: str, scene: Scene, element: str | None = None) -> dict[str, float]:
+    """Return the model's own value of each parameter, of every number of a vector; NaN where there is none."""
+    return {p.name: _own(p, scene) for p in parameters_on(name, scene, element)}
+
+
 def _own(p: Parameter, scene: Scene) -> float:
     """Return the value of one parameter that is the model's own."""
     return p.neutral(scene) if p.neutral else p.identity(scene)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,14 @@ class Outcome:
         What was said.
     shares : Shares or None
         What each true contributor is worth; None where there is none in the library.
+    nominal : dict of str to dict of str to float
+        The model's own value of each parameter of each effect that is hidden or named, by its text.
     """
 
     label: Label
     result: CaseResult
     shares: Shares | None = None
+    nominal: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def kind(self) -> Kind:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.blind.honesty import brier_score, honest_rows, is_scored, log_score
 from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
 from candata.gap.blind.traits import percent, trait_rows
-from candata.schema.bench import BenchFile, BenchRow, Bin, FilledSignature, Kind, Miss
+from candata.schema.bench import BenchFile, BenchRow, Bin, CaseScore, FilledSignature, Kind, Miss
 
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
@@ -58,7 +59,34 @@ def score_run(
         misses=tuple(m for o in outcomes if (m := miss(o))),
         confusion=confusion(outcomes),
         calibration=calibration(outcomes),
+        scores=tuple(_scored(o) for o in outcomes),
     )
+
+
+def _scored(o: Outcome) -> CaseScore:
+    """Return the score of one case."""
+    return CaseScore(
+        case=o.label.case,
+        sealed=o.result.sealed,
+        kind=o.kind,
+        noise=o.label.noise,
+        right=_why(o) is None,
+        log_score=log_score(o) if is_scored(o) else None,
+        brier_score=brier_score(o) if is_scored(o) else None,
+    )
+
+
+def _noise_rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
+    """Return how many cases of each kind of noise that is not as declared are right, and how many nulls are named."""
+    rows = []
+    for noise in ("misdeclared", "undeclared"):
+        cases = [o for o in outcomes if o.label.noise == noise]
+        nulls = [o for o in cases if o.kind == "null"]
+        rows += [
+            percent(f"noise {noise}: right", (_why(o) is None for o in cases)),
+            percent(f"noise {noise}, null: an effect named", (bool(o.named) for o in nulls), high=3),
+        ]
+    return rows
 
 
 def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
@@ -78,6 +106,8 @@ def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
         *_mismatch(of("background"), of("solver")),
         *_local(of("local")),
         *_honesty(outcomes, of("one", "quarter", "local")),
+        *honest_rows(outcomes, of("one"), of("quarter")),
+        *_noise_rows(outcomes),
         *_cost(outcomes),
     ]
 
