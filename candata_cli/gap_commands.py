@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from candata_cli import console
 from candata_cli.bench_cases import KINDS, SCENE, bench_request, listed_words, make
+from candata_cli.bench_scores import ScoredRun, diagnose_and_score
 from candata_cli.outputs import check_output
-
-if TYPE_CHECKING:
-    from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import Place
-    from candata.schema.bench import BenchFile, CaseResult, FilledSignature
-    from candata.simulate.crew import Crew
 
 NOISES = ("declared", "misdeclared", "undeclared", "mixed")
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
@@ -61,9 +54,11 @@ Baselines: lowest_error (smallest training error), bic, one_se (forward and one 
 commonest (the same answer always), oracle (told the cause). Not among them: mujoco.sysid with everything free,
 which needs the packages of mujoco[sysid] and a parameter written for each effect.
 """
-#: Results whose pace tells the time left.
-LATEST_RESULTS = 21
 FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
+FRESH = (
+    "Fresh episodes of each hidden world on which named effects are tried (default: 20 where candata made the cases in "
+    "one scene); 0 tries none."
+)
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 KEEP = "Keep the cases, and their labels, in this folder: always the same ones, to compare searches on."
 NOISE = (
@@ -126,6 +121,7 @@ def bench(
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
     minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
     follow: Annotated[bool, typer.Option(help=FOLLOW)] = True,
+    fresh: Annotated[int | None, typer.Option(min=0, metavar="N", help=FRESH)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
@@ -152,9 +148,9 @@ def bench(
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
         cases, labels = folder / CASES, folder / LABELS
-        run = _Run(out, cases, labels, crew, seed, None, baseline_names, baseline_cases, stop_time, follow)
+        run = ScoredRun(out, cases, labels, crew, seed, None, baseline_names, baseline_cases, stop_time, fresh, follow)
         with nullcontext() if out == folder else bench_lock(out):
-            _diagnose_and_score(run, json)
+            diagnose_and_score(run, json)
 
 
 def _case_folder(out: Path | None, keep: Path | None) -> Path:
@@ -208,6 +204,7 @@ def score(
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
     minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
+    fresh: Annotated[int | None, typer.Option(min=0, metavar="N", help=FRESH)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were kept, or made elsewhere."""
@@ -221,8 +218,8 @@ def score(
         bench_lock(out),
         crew_of(jobs, ray, out) as crew,
     ):
-        _diagnose_and_score(
-            _Run(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, stop_time), json
+        diagnose_and_score(
+            ScoredRun(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, stop_time, fresh), json
         )
 
 
@@ -256,109 +253,6 @@ def bench_lock(out: Path) -> AbstractContextManager[None]:
     return exclusive_lock(ensure_folder(out), "another gap bench or gap score works in this folder")
 
 
-@dataclass(frozen=True)
-class _Run:
-    """What is diagnosed and scored, and how."""
-
-    out: Path
-    cases: Path
-    labels: Path
-    crew: Crew
-    seed: int
-    scene: str | None
-    baselines: tuple[str, ...]
-    baseline_cases: int
-    until: float
-    follow: bool = False
-
-
-def _diagnose_and_score(run: _Run, json: bool) -> None:
-    """Diagnose what is not yet, open the labels, write and print the score."""
-    from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
-    from candata.gap.blind.opening import opened
-    from candata.gap.blind.running import Place, run_cases
-    from candata.gap.blind.running import known as standing_results
-    from candata.gap.blind.scoring import score_run
-    from candata.gap.blind.shares import measure_shares
-    from candata.reports.bench import bench_text, write_bench
-
-    cases = read_cases(run.cases)
-    places = [
-        Place(path, run.scene or scene_of(path, case), case.sealed, case.noise_declared) for path, case in cases.items()
-    ]
-    present_results = standing_results(run.out)
-    places_left = [p for p in places if p.sealed not in present_results]
-    cache_fill = _filled_cache(run, places_left)
-    with _countdown(len(places_left)) as tell:
-        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=tell, until=run.until)
-    labels = open_labels(cases, read_labels(run.labels))
-    done_places = [p for p in places if p.sealed in {r.sealed for r in results}]
-    if len(done_places) < len(places):
-        console.note(
-            f"{len(done_places)} of {len(places)} cases in the time given; the same command goes on with the others"
-        )
-    case_count = sum(bool(labels[p.folder.name].effects) for p in done_places)
-    with console.progress("weighing true causes", case_count) as advance:
-        shares = measure_shares(run.out, done_places, labels, crew=run.crew, told=advance)
-    outcomes = opened(places, results, labels, shares)
-    follow_ups = _followed_outcomes(run, done_places, outcomes) if run.follow else []
-    scenes = {p.scene for p in places}
-    title = places[0].scene if len(scenes) == 1 else f"{len(scenes)} scenes"
-    bench_score = score_run(outcomes, scene=title, cases=len(places), filled=cache_fill, followed=follow_ups)
-    if run.baselines:
-        bench_score = bench_score.model_copy(update={"baselines": _baseline_scores(run, done_places, outcomes)})
-    page = write_bench(bench_score, run.out)
-    console.out(bench_score.model_dump_json(indent=2) if json else bench_text(bench_score))
-    console.note(f"score: {run.out / 'bench.json'}, {page}")
-
-
-def _filled_cache(run: _Run, places: Sequence[Place]) -> list[FilledSignature]:
-    """Return what has been simulated into the cache that the cases share, after simulating what they will need."""
-    from candata.gap.blind.filling import FILLED, keep_signature, shared_tasks
-    from candata.gap.blind.running import CACHE, finished, spread
-    from candata.schema.bench import FilledSignature
-
-    tasks = shared_tasks(places, run.out / CACHE, run.seed)
-    if tasks:
-        with console.progress("simulating effects for all cases", len(tasks)) as advance:
-            for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew, run.until):
-                advance(1)
-    return finished(run.out / FILLED, FilledSignature)
-
-
-def _followed_outcomes(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:
-    """Return the ambiguous cases diagnosed again, with what their reports proposed recorded in their worlds."""
-    from candata.gap.blind.following import follow_up, proposes
-
-    proposing = [o for o in outcomes if proposes(o.result)]
-    if not proposing:
-        return []
-    labels = {o.label.case: o.label for o in outcomes}
-    with console.progress("recording what was proposed", len(proposing)) as advance:
-        results = follow_up(
-            run.out, places, [o.result for o in proposing], labels, crew=run.crew, seed=run.seed, told=advance
-        )
-    return [replace(o, result=results[o.label.case]) for o in proposing]
-
-
-def _baseline_scores(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
-    """Return the score of the diagnosis and of each baseline on the first cases."""
-    from candata.gap.blind.baselines import run_baselines
-    from candata.gap.blind.scoring import score_run
-
-    first_outcomes, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
-    labels = {o.label.case: o.label for o in outcomes}
-    with console.progress("baselines", count) as advance:
-        baseline_results = run_baselines(
-            run.out, places[:count], labels, run.baselines, crew=run.crew, seed=run.seed, told=advance
-        )
-    scores = [score_run(first_outcomes, scene=places[0].scene, cases=count)]
-    for method, results in baseline_results.items():
-        method_outcomes = [replace(o, result=r) for o, r in zip(first_outcomes, results, strict=True)]
-        scores.append(score_run(method_outcomes, scene=places[0].scene, cases=count, method=method))
-    return tuple(scores)
-
-
 def _kept_text(folder: Path, out: Path | None) -> str:
     """Return what stands of a run, as a clause: cases in `folder`, results in `out`."""
     from candata.gap.blind.cases import CASE, CASES
@@ -377,22 +271,3 @@ def _kept_text(folder: Path, out: Path | None) -> str:
 def end_time(minutes: float | None) -> float:
     """Return the time [s since the epoch] from which on no case is begun."""
     return inf if minutes is None else time.time() + 60 * minutes
-
-
-@contextmanager
-def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
-    """Yield what hears of each new result and says on stderr how many are done and the time left.
-
-    The pace is that of the latest results: the first fill the cache and take longer.
-    """
-    stamps, done_count = deque([time.monotonic()], maxlen=LATEST_RESULTS), 0
-
-    def tell(result: CaseResult) -> None:
-        nonlocal done_count
-        done_count += 1
-        stamps.append(time.monotonic())
-        pace_s = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
-        left_text = console.duration(pace_s * (total - done_count))
-        console.note(f"{done_count} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left_text} left")
-
-    yield tell

@@ -100,10 +100,12 @@ def _baseline_rows(bench: BenchFile) -> list[tuple[str, ...]]:
 
 
 def value_text(row: BenchRow) -> str:
-    """Return a measured value with its unit."""
+    """Return a measured value with its unit, and its interval where it has one."""
     if row.value is None:
         return "-"
-    return f"{row.value:.1f} {row.unit}" if row.unit else f"{row.value:.3f}"
+    digits = 1 if row.unit else 3
+    text = f"{row.value:.{digits}f} {row.unit}".rstrip()
+    return text if row.interval is None else f"{text} ({' to '.join(f'{end:.{digits}f}' for end in row.interval)})"
 
 
 def target_text(row: BenchRow) -> str:

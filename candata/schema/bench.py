@@ -8,7 +8,7 @@ from pydantic import Field
 
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
-from candata.schema.report import Report
+from candata.schema.report import Gap, Report
 
 Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local", "change"]
 #: What a diagnosis is told of the sensors' noise: the truth, another size, or nothing.
@@ -110,8 +110,24 @@ class Shares(ResultRecord):
     alike: float | None = None
 
 
+class FreshGap(ResultRecord):
+    """One line of `fresh.jsonl`: how far the named effects close the gap on fresh episodes of the hidden world.
+
+    `gap` is as in the report, in floors of the repaired world; null, with the reason, where it could not be measured.
+    """
+
+    case: str
+    sealed: str
+    episodes: int
+    gap: Gap | None = None
+    error: str | None = None
+
+
 class BenchRow(ResultRecord):
-    """A measure of the table: `low` and `high` bound the target; both null where there is none."""
+    """A measure of the table: `low` and `high` bound the target; both null where there is none.
+
+    `interval` is a 90 % interval of the value by resampling cases; null where none was computed.
+    """
 
     measure: str
     value: float | None
@@ -119,6 +135,7 @@ class BenchRow(ResultRecord):
     low: float | None = None
     high: float | None = None
     unit: Literal["%", "", "s"] = "%"
+    interval: tuple[float, float] | None = None
 
     @property
     def is_met(self) -> bool | None:
@@ -145,7 +162,8 @@ class CaseScore(ResultRecord):
 
     `log_score` [nats] and `brier_score` sum over all effects of the library: the belief that a report states (of a
     named effect its support, of each of n in an ambiguous class 1/n, of any other 0) against what is there. 0 is best;
-    null for a background, in which a little of everything is there.
+    null for a background, in which a little of everything is there. `overclaimed` is the share of the gap that is
+    closed as the report says, less that on fresh episodes of the hidden world; null where nothing is named.
     """
 
     case: str
@@ -155,6 +173,7 @@ class CaseScore(ResultRecord):
     right: bool
     log_score: float | None = None
     brier_score: float | None = None
+    overclaimed: float | None = None
 
 
 class ChangedCase(ResultRecord):
@@ -194,7 +213,8 @@ class BenchFile(ResultRecord):
     |found - true| / |true - model's own|, which no value near the model's own can flatter. "Coverage" counts right
     names, "wrong names too" also effects that are not there, whose true value is the model's own. "Calibration error"
     is small for whoever is mostly right; Brier and log score are not: they are means of the cases' scores (see
-    `CaseScore`) with "silence counted", and of named effects alone. `scores` are those of each case.
+    `CaseScore`) with "silence counted", and of named effects alone. "Closed as claimed minus on fresh episodes" holds
+    what reports say against episodes of the hidden worlds that no search has seen. `scores` are those of each case.
 
     `confusion` maps a true cause to what was said first and how often; `baselines` are other methods, and this one,
     on the cases that the others were given.

@@ -179,6 +179,9 @@ def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_pat
     assert json.loads(run(*command, "--json").out)["done"] == 2
     labels, out = tmp_path / "b" / "sealed.json", tmp_path / "score"
     assert run("gap", "score", tmp_path / "b" / "cases", "--labels", labels, "--out", out, "--jobs", 1).code == 0
+    refused = run("gap", "score", tmp_path / "b", "--out", out, "--fresh", 5, "--jobs", 1)
+    assert (refused.code, refused.out) == (2, "")
+    assert "no fresh episodes can be recorded" in refused.err
     pair = run("gap", "compare", tmp_path / "b", out)
     assert pair.out.splitlines()[1].split()[:6] == ["2", "2", "0", "0", "0", "1"]
     assert json.loads(run("gap", "compare", tmp_path / "b", out, "--json").out)["both_right"] == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,16 @@ from candata.gap.blind.traits import percent
 from candata.schema.bench import BenchRow
 from candata.schema.effect import Value
 from candata.schema.report import Estimate
+from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 #: Least probability that counts as stated: silence on a cause that is there costs log(100). Chosen: no search is tuned
 #: on more than some hundred cases, and none can know one in a thousand.
 LEAST_SUPPORT = 0.01
+#: Points by which a mean claim may be off what fresh episodes show [%]. Chosen: no reader of a report acts on less.
+OVERCLAIMED = 2.0
+#: Resamples of the cases for an interval.
+RESAMPLES = 2000
 #: Target of the coverage of 90 % intervals [%].
 COVERAGE = (85.0, 95.0)
 
@@ -43,11 +49,35 @@ def honest_rows(outcomes: Sequence[Outcome], one: Sequence[Outcome], quarter: Se
         percent(
             "coverage of 90 % intervals, wrong names too", (c for o in outcomes for c in all_covered(o)), *COVERAGE
         ),
+        *_fresh_rows([o for o in outcomes if o.overclaimed is not None]),
         _mean("Brier score of support, silence counted", [brier_score(o) for o in scored]),
         _mean("log score of support, silence counted", [log_score(o) for o in scored]),
         _mean("Brier score of support, named effects", [_squared(*pair) for pair in named]),
         _mean("log score of support, named effects", [_surprise(*pair) for pair in named]),
     ]
+
+
+def _fresh_rows(measured: Sequence[Outcome]) -> list[BenchRow]:
+    """Return what reports claim to close against fresh episodes of the hidden worlds."""
+    over = np.array([100 * (o.overclaimed or 0.0) for o in measured])
+    return [
+        BenchRow(
+            measure="closed as claimed minus on fresh episodes: mean",
+            value=float(over.mean()) if len(over) else None,
+            n=len(over),
+            low=-OVERCLAIMED,
+            high=OVERCLAIMED,
+            interval=mean_interval(over) if len(over) else None,
+        ),
+        _mean("gap closed on fresh episodes: mean", [100 * (o.closed_fresh or 0.0) for o in measured], "%"),
+    ]
+
+
+def mean_interval(values: Array) -> tuple[float, float]:
+    """Return the ends of a 90 % interval of the mean of values `(n,)`, one a case, by resampling cases."""
+    picks = resamples(np.random.default_rng(0), len(values), RESAMPLES)
+    low, high = np.quantile(values[picks].mean(1), (0.05, 0.95))
+    return float(low), float(high)
 
 
 def is_scored(o: Outcome) -> bool:
@@ -146,9 +176,9 @@ def _numbers(value: Value) -> Array:
     return np.atleast_1d(np.asarray(value, float))
 
 
-def _mean(measure: str, values: Sequence[float]) -> BenchRow:
-    """Return a row that is a mean without a unit."""
-    return BenchRow(measure=measure, value=float(np.mean(values)) if values else None, n=len(values), unit="")
+def _mean(measure: str, values: Sequence[float], unit: Literal["%", ""] = "") -> BenchRow:
+    """Return a row that is a mean."""
+    return BenchRow(measure=measure, value=float(np.mean(values)) if values else None, n=len(values), unit=unit)
 
 
 def _quantile(measure: str, values: Sequence[float], q: float) -> BenchRow:

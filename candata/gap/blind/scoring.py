@@ -73,6 +73,7 @@ def _scored(o: Outcome) -> CaseScore:
         right=_why(o) is None,
         log_score=log_score(o) if is_scored(o) else None,
         brier_score=brier_score(o) if is_scored(o) else None,
+        overclaimed=o.overclaimed,
     )
 
 
