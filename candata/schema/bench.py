@@ -180,21 +180,57 @@ class ChangedCase(ResultRecord):
     """A case that two versions take differently: its name, and what each said, `right` after what is right."""
 
     case: str
+    kind: Kind
     first: str
     second: str
+    first_right: bool
+    second_right: bool
 
 
-class PairedComparison(ResultRecord):
-    """Two runs on the same cases, paired: counts, McNemar's exact p of the cases where one is right, median CPU s."""
+class PairedKind(ResultRecord):
+    """Two runs on the cases of one kind: in how many both are right, one alone or neither, and McNemar's exact p.
 
+    `kind` is a kind of case, or `noise` and a kind of noise: these count the same cases a second time.
+    """
+
+    kind: str
     cases: int
     both_right: int
     first_only: int
     second_only: int
     neither: int
     p: float
+
+
+class PairedMeasure(ResultRecord):
+    """A measure of two runs on the cases in which both have it, its mean or median.
+
+    `change` is the median over cases of the second run's value over the first's where it `is_ratio`, else the mean over
+    cases of the second's less the first's; `low` and `high` are a 90 % interval of it by resampling cases.
+    """
+
+    measure: str
+    cases: int
+    statistic: Literal["mean", "median"]
+    first: float
+    second: float
+    change: float
+    is_ratio: bool
+    low: float
+    high: float
+
+
+class PairedComparison(PairedKind):
+    """Two runs on the same cases, paired: one sentence, counts in all and by kind, cost and honesty, changed cases.
+
+    The counts are those of all kinds together; CPU s are medians.
+    """
+
+    summary: str
     first_cpu_s: float
     second_cpu_s: float
+    kinds: tuple[PairedKind, ...] = ()
+    measures: tuple[PairedMeasure, ...] = ()
     changed: tuple[ChangedCase, ...] = ()
 
 

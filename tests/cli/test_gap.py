@@ -183,7 +183,14 @@ def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_pat
     assert (refused.code, refused.out) == (2, "")
     assert "no fresh episodes can be recorded" in refused.err
     pair = run("gap", "compare", tmp_path / "b", out)
-    assert pair.out.splitlines()[1].split()[:6] == ["2", "2", "0", "0", "0", "1"]
+    lines = pair.out.splitlines()
+    assert lines[0].startswith("B is right in as many of 2 cases as A (p = 1), costs ")
+    assert [line.split() for line in lines[4:7]] == [
+        ["kind", "cases", "both", "right", "only", "A", "only", "B", "p"],
+        ["null", "2", "2", "0", "0", "1"],
+        ["all", "2", "2", "0", "0", "1"],
+    ]
+    assert any(line.split()[:7] == ["replays", "a", "case,", "median", "2", "3.0", "3.0"] for line in lines)
     assert json.loads(run("gap", "compare", tmp_path / "b", out, "--json").out)["both_right"] == 2
 
 
