@@ -142,6 +142,7 @@ def _followed_outcomes(run: ScoredRun, places: list[Place], outcomes: list[Outco
 def _baseline_scores(run: ScoredRun, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
     """Return the score of the diagnosis and of each baseline on the first cases."""
     from candata.gap.blind.baselines import run_baselines
+    from candata.gap.blind.opening import opened
     from candata.gap.blind.scoring import score_run
 
     first_outcomes, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
@@ -151,8 +152,9 @@ def _baseline_scores(run: ScoredRun, places: list[Place], outcomes: list[Outcome
             run.out, places[:count], labels, run.baselines, crew=run.crew, seed=run.seed, told=advance
         )
     scores = [score_run(first_outcomes, scene=places[0].scene, cases=count)]
+    shares = {o.label.case: o.shares for o in first_outcomes if o.shares}
     for method, results in baseline_results.items():
-        method_outcomes = [replace(o, result=r) for o, r in zip(first_outcomes, results, strict=True)]
+        method_outcomes = opened(places[:count], results, labels, shares)
         scores.append(score_run(method_outcomes, scene=places[0].scene, cases=count, method=method))
     return tuple(scores)
 

@@ -74,4 +74,4 @@ def _print_changed(comparison: PairedComparison) -> None:
         console.out(f"\n{c.case} ({c.kind})\n  A: {c.first}\n  B: {c.second}")
     others = len(comparison.changed) - len(turned)
     if others:
-        console.out(f"\nin {others} more cases the two say different things, both right or both wrong: see --json")
+        console.out(f"\nother cases of which the two say different things, both right or both wrong: {others} (--json)")

@@ -75,7 +75,7 @@ def calibration(bins: Sequence[Bin]) -> Markup:
 
 def _measure_rows(bench: BenchFile) -> list[tuple[str, ...]]:
     """Return the rows of the table."""
-    return [(row.measure, value_text(row), str(row.n), target_text(row), MARKS[row.is_met]) for row in bench.rows]
+    return [(row.measure, value_text(row), str(row.n), target_text(row), mark_text(row)) for row in bench.rows]
 
 
 def _miss_rows(bench: BenchFile) -> list[tuple[str, ...]]:
@@ -100,12 +100,18 @@ def _baseline_rows(bench: BenchFile) -> list[tuple[str, ...]]:
 
 
 def value_text(row: BenchRow) -> str:
-    """Return a measured value with its unit, and its interval where it has one."""
+    """Return a measured value with its unit."""
     if row.value is None:
         return "-"
+    return f"{row.value:.1f} {row.unit}" if row.unit else f"{row.value:.3f}"
+
+
+def mark_text(row: BenchRow) -> str:
+    """Return whether a row meets its target, and the interval of its value where it has one."""
+    if row.interval is None:
+        return MARKS[row.is_met]
     digits = 1 if row.unit else 3
-    text = f"{row.value:.{digits}f} {row.unit}".rstrip()
-    return text if row.interval is None else f"{text} ({' to '.join(f'{end:.{digits}f}' for end in row.interval)})"
+    return f"{MARKS[row.is_met]} ({row.interval[0]:.{digits}f} to {row.interval[1]:.{digits}f})".strip()
 
 
 def target_text(row: BenchRow) -> str:

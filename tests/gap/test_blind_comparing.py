@@ -112,9 +112,9 @@ def test_what_a_run_has_not_measured_is_not_compared(tmp_path):
     named = case("one", (MASS,), (say(MASS),), closed=0.9)
     fresh = FreshGap(case="c", sealed="", episodes=2, gap=Gap(before=3.0, after=1.2, closed=0.8))
     found = measures(tmp_path, [with_more(named, fresh=fresh)], [with_more(named, fresh=fresh)])
-    assert found["closed as claimed minus fresh"].first == pytest.approx(0.1)
+    assert found["closed: claimed minus fresh"].first == pytest.approx(0.1)
     assert "replays a case" not in found
-    assert "closed as claimed minus fresh" not in measures(tmp_path / "x", [with_more(named, fresh=fresh)], [named])
+    assert "closed: claimed minus fresh" not in measures(tmp_path / "x", [with_more(named, fresh=fresh)], [named])
 
 
 def test_mcnemars_p_is_that_of_a_fair_coin():

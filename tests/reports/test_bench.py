@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from candata.reports.bench import bench_page, bench_text, target_text, value_text, write_bench
+from candata.reports.bench import bench_page, bench_text, mark_text, target_text, value_text, write_bench
 from candata.reports.heat import confusion
 from candata.schema.bench import BenchFile, BenchRow, Bin, Miss
 
@@ -82,3 +82,5 @@ def test_units_and_targets_in_words():
     assert target_text(BenchRow(measure="m", value=1, n=1, low=85, high=95)) == "85 to 95 %"
     assert target_text(BenchRow(measure="m", value=1, n=1, high=20, unit="s")) == "<= 20 s"
     assert target_text(BenchRow(measure="m", value=1, n=1)) == ""
+    assert mark_text(BenchRow(measure="m", value=1, n=1, low=-2, high=2, interval=(0.5, 1.51))) == "met (0.5 to 1.5)"
+    assert mark_text(BenchRow(measure="m", value=3, n=1, high=2)) == "MISSED"

@@ -133,7 +133,7 @@ def _measures(pairs: Sequence[Pair]) -> tuple[PairedMeasure, ...]:
         _cost("replays a case", _values(alike, lambda r: r.result.replays)),
         _belief("log score of support", _values(pairs, lambda r: r.score.log_score)),
         _belief("Brier score of support", _values(pairs, lambda r: r.score.brier_score)),
-        _belief("closed as claimed minus fresh", _values(pairs, lambda r: r.score.overclaimed)),
+        _belief("closed: claimed minus fresh", _values(pairs, lambda r: r.score.overclaimed)),
     ]
     return tuple(measure for measure in found if measure is not None)
 
