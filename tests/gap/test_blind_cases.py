@@ -107,6 +107,8 @@ def test_the_same_command_takes_what_stands_and_another_is_refused(run, cube):
     with pytest.raises(UsageError, match="asked for something else") as caught:
         seal_labels(run, cube, COUNTS | {"one": 3}, **SMALL)
     assert "count_one 2" in str(caught.value)
+    with pytest.raises(UsageError, match="drawn from another salt"):
+        seal_labels(run, cube, COUNTS, salt="cd" * 32, **SMALL)
 
 
 def test_a_random_salt_draws_other_cases_for_the_same_seed(tmp_path, cube):

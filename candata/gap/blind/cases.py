@@ -107,18 +107,26 @@ def seal_labels(
         rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
         drawn = draw_labels(scene, counts, rng, live() or only, noise)
         write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
-    return standing_labels(out, asked)
+    return standing_labels(out, asked, salt)
 
 
-def standing_labels(out: Path, asked: dict[str, str | int | float]) -> LabelsFile:
+def standing_labels(out: Path, asked: dict[str, str | int | float], salt: str | None = None) -> LabelsFile:
     """Return the labels that stand in the folder of a run.
 
     Raises
     ------
     UsageError
-        When the run that stands there was asked for something else.
+        When the run that stands there was asked for something else, or drawn from another salt than a given one.
     """
     found = read_labels(out / LABELS)
+    if salt not in (None, found.salt):
+        raise UsageError(
+            "the folder holds cases that were drawn from another salt",
+            expected="no cases, or those of the same command",
+            found="other cases",
+            where=Where(path=str(out)),
+            fix="choose another folder",
+        )
     other = [k for k in {*asked, *found.asked} if asked.get(k) != found.asked.get(k)]
     if other:
         raise UsageError(

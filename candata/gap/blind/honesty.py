@@ -27,6 +27,17 @@ RESAMPLES = 2000
 #: Target of the coverage of 90 % intervals [%].
 COVERAGE = (85.0, 95.0)
 
+#: What these rows say, by a part of their names.
+MEANINGS = {
+    "error over the deviation": "|found - true| / |true - model's own|: 100 % for whoever leaves the model as it is",
+    "wrong names too": "how often the truth lies inside; that of an effect that is not there is the model's own value",
+    "closed as claimed minus on fresh": "the share of the gap that reports say is closed, less what effects close on "
+    "episodes of the hidden worlds that no search has seen; 90 % interval over cases",
+    "silence counted": "how far beliefs are from what is so, over all effects of the library, mean over cases: a name "
+    "brings its support, each of an ambiguous class of n 1/n, silence 0; the best score is 0",
+    "support, named effects": "the same of given names alone: whoever names little scores well",
+}
+
 
 def honest_rows(outcomes: Sequence[Outcome], one: Sequence[Outcome], quarter: Sequence[Outcome]) -> list[BenchRow]:
     """Return the rows of these measures.
