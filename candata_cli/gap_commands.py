@@ -98,7 +98,7 @@ def bench(
     ] = None,
     world: Annotated[str | None, typer.Option(help=WORLD)] = None,
     traits: Annotated[str, typer.Option(help=TRAITS)] = "",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the commands, and of what --keep hides.")] = 1,
     episodes: Annotated[
         int | None, typer.Option(min=1, help="Episodes of each case (default: 20, in random small scenes 12).")
     ] = None,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.blind.outcomes import Outcome, supports
-from candata.gap.blind.traits import percent
+from candata.gap.blind.rows import mean, percent, quantile
 from candata.schema.bench import BenchRow
 from candata.schema.effect import Value
 from candata.schema.report import Estimate
@@ -54,17 +53,17 @@ def honest_rows(outcomes: Sequence[Outcome], one: Sequence[Outcome], quarter: Se
     scored = [o for o in outcomes if is_scored(o)]
     named = [pair for o in scored for pair in supports(o)]
     return [
-        _quantile("error over the deviation: median", errors, 0.5),
-        _quantile("error over the deviation: 90th percentile", errors, 0.9),
-        _quantile("error over the deviation, a quarter: median", weak, 0.5),
+        quantile("error over the deviation: median", errors, 0.5),
+        quantile("error over the deviation: 90th percentile", errors, 0.9),
+        quantile("error over the deviation, a quarter: median", weak, 0.5),
         percent(
             "coverage of 90 % intervals, wrong names too", (c for o in outcomes for c in all_covered(o)), *COVERAGE
         ),
         *_fresh_rows([o for o in outcomes if o.overclaimed is not None]),
-        _mean("Brier score of support, silence counted", [brier_score(o) for o in scored]),
-        _mean("log score of support, silence counted", [log_score(o) for o in scored]),
-        _mean("Brier score of support, named effects", [_squared(*pair) for pair in named]),
-        _mean("log score of support, named effects", [_surprise(*pair) for pair in named]),
+        mean("Brier score of support, silence counted", [brier_score(o) for o in scored]),
+        mean("log score of support, silence counted", [log_score(o) for o in scored]),
+        mean("Brier score of support, named effects", [_squared(*pair) for pair in named]),
+        mean("log score of support, named effects", [_surprise(*pair) for pair in named]),
     ]
 
 
@@ -80,7 +79,7 @@ def _fresh_rows(measured: Sequence[Outcome]) -> list[BenchRow]:
             high=OVERCLAIMED,
             interval=mean_interval(over) if len(over) else None,
         ),
-        _mean("gap closed on fresh episodes: mean", [100 * (o.closed_fresh or 0.0) for o in measured], "%"),
+        mean("gap closed on fresh episodes: mean", [100 * (o.closed_fresh or 0.0) for o in measured], "%"),
     ]
 
 
@@ -185,13 +184,3 @@ def _inside(true: Value, estimate: Estimate) -> list[bool]:
 def _numbers(value: Value) -> Array:
     """Return the numbers `(n,)` of a value."""
     return np.atleast_1d(np.asarray(value, float))
-
-
-def _mean(measure: str, values: Sequence[float], unit: Literal["%", ""] = "") -> BenchRow:
-    """Return a row that is a mean."""
-    return BenchRow(measure=measure, value=float(np.mean(values)) if values else None, n=len(values), unit=unit)
-
-
-def _quantile(measure: str, values: Sequence[float], q: float) -> BenchRow:
-    """Return a row that is a quantile of shares, in percent."""
-    return BenchRow(measure=measure, value=100 * float(np.quantile(values, q)) if values else None, n=len(values))
