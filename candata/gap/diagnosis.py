@@ -148,7 +148,8 @@ def diagnose(
     except BudgetSpent as spent:
         diagnosis = unfinished(dataset, scene, sofar, spent.budget)
     if sofar.recs is not None:
-        diagnosis = replace(diagnosis, replays=replayed_steps.steps / sofar.recs.commands[..., :1].size)
+        episodes, rows = sofar.recs.commands.shape[:2]
+        diagnosis = replace(diagnosis, replays=replayed_steps.steps / (episodes * rows))
     return diagnosis if against is None else _since(diagnosis, title(against))
 
 
