@@ -72,6 +72,9 @@ class Diagnosis:
         A joint fit that claims no names, for `calibration.yaml`; None where there is none.
     named : tuple of EffectSetting
         The named effects alone, on top of the scene with its given effects.
+    replays : float
+        What was simulated, in replays of all episodes: its cost, the same on any machine. What an earlier diagnosis
+        kept in the cache is not simulated again, so that it depends on the cache, as nothing of the report does.
     """
 
     report: Report
@@ -81,6 +84,7 @@ class Diagnosis:
     stopgap: EffectsFile | None = None
     calibration: EffectsFile | None = None
     named: EffectSet = ()
+    replays: float = 0.0
 
 
 @dataclass(frozen=True)

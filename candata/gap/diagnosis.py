@@ -34,7 +34,7 @@ from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
 from candata.gap.reference import changed_since
 from candata.gap.repeats import deviation_of_others, slow_deviation
-from candata.gap.replay import Replayer, replay_all
+from candata.gap.replay import ReplayedSteps, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem, SoFar
@@ -119,14 +119,14 @@ def diagnose(
         says they are.
     """
     limit = None if budget is None else Budget(budget)
-    sofar, forecast = SoFar(), Forecast(ends)
+    sofar, forecast, replayed_steps = SoFar(), Forecast(ends), ReplayedSteps()
 
     def tell(step: str) -> None:
         sofar.step = step
         progress(step)
 
     def replayer() -> Replayer:
-        made = Replayer(scene, jobs, forecast.count)
+        made = replayed_steps.watched(Replayer(scene, jobs, forecast.count))
         return limit.watched(made) if limit else made
 
     try:
@@ -147,6 +147,9 @@ def diagnose(
         diagnosis = _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
         diagnosis = unfinished(dataset, scene, sofar, spent.budget)
+    if sofar.recs is not None:
+        episodes, rows = sofar.recs.commands.shape[:2]
+        diagnosis = replace(diagnosis, replays=replayed_steps.steps / (episodes * rows))
     return diagnosis if against is None else _since(diagnosis, title(against))
 
 

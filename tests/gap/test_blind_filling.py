@@ -100,6 +100,7 @@ def test_a_diagnosis_of_its_own_sees_effects_on_the_recording_and_keeps_that(dam
     warm = diagnose(data, arm, cache=tmp_path, only=ONLY)
     assert simulated == []
     assert warm.report == cold.report == fresh.report
+    assert fresh.replays == cold.replays > warm.replays > 1, "what was kept is not simulated again"
     assert fresh.report.effects[0].name == "joint_damping"
     assert len(made) > 20
     assert made == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")}
