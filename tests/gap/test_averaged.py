@@ -19,6 +19,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.shortlist import brief
 from candata.gap.stage import Stage
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 
 #: The fault that one replay hides: one fingertip's rolling friction [m], at a place of the range it is drawn from.
@@ -36,7 +37,7 @@ def posed(gripper, played):
 
     def make(effects, *names, count=20, duration_s=2.4):
         recs = recordings(gripper, played(gripper, effects, count=count, duration_s=duration_s))
-        problem = _problem(Replayer(gripper), recs, np.random.default_rng(0), None, lambda stage: None)
+        problem = _problem(Replayer(gripper), recs, Streams(0), None, lambda stage: None)
         part, _ = brief(problem)
         responses, _ = respond(part, part.nominal, [candidate(n, gripper) for n in names])
         base = problem.score.loss(problem.nominal)

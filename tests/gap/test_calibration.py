@@ -24,6 +24,7 @@ from candata.gap.replay import Replayer
 from candata.gap.search import Problem
 from candata.gap.shrink import held_out
 from candata.gap.stage import Stage
+from candata.gap.streams import Streams
 from candata.repair import export_mjcf
 from candata.reports import summary, write_diagnosis
 from candata.scenes import Scene, load_scene
@@ -109,7 +110,7 @@ def episodes(scene: Scene, effects=()) -> list[Episode]:
 def findings_of(scene: Scene, effects) -> Findings:
     """What a search that explains nothing leaves, after many replays."""
     recs = recordings(scene, episodes(scene, effects))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     problem = replace(problem, ruled_out=frozenset(effect_names()) - {*WRONG, *SOUND})
     problem.sofar.episodes_replayed = 1200 * len(recs)
     base = problem.score.loss(problem.nominal)

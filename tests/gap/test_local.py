@@ -12,6 +12,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.stage import typical
+from candata.gap.streams import Streams
 from candata.simulate.episodes import EpisodeJob, make_episodes
 
 
@@ -46,7 +47,7 @@ def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     made = make_episodes(
         hand, [EpisodeJob(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise
     )
-    problem = _problem(Replayer(hand), recordings(hand, made), np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(hand), recordings(hand, made), Streams(0), None, lambda stage: None)
     force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
     own = np.tile(force, problem.plan.phase.shape[1])
     here = np.where(own, problem.nominal + 30, 0).astype(np.float32)  # nothing is left for any joint to explain

@@ -17,6 +17,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
+from candata.gap.streams import Streams
 from tests.gap import hidden
 
 
@@ -26,7 +27,7 @@ def posed(arm, arm_episodes):
 
     def pose(effects, count: int = 12):
         recs = recordings(arm, arm_episodes(effects, count=count))
-        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+        return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
     return pose
 

@@ -19,6 +19,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.stage import narrowed, sharpened, typical
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 
 BASE = np.full(8, 2.0)
@@ -35,7 +36,7 @@ def posed(arm, arm_episodes, planted):
 
     def pose(*fault, **parameters):
         recs = recordings(arm, arm_episodes(planted(*fault, **parameters)))
-        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+        return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
     return pose
 

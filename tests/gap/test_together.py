@@ -18,6 +18,7 @@ from candata.gap.search import Problem
 from candata.gap.shortlist import brief
 from candata.gap.shrink import shares
 from candata.gap.stage import as_simulated, look
+from candata.gap.streams import Streams
 from candata.gap.together import beside, sums
 from candata.scenes import load_scene
 from candata.simulate.episodes import EpisodeJob, make_episodes
@@ -31,9 +32,7 @@ def posed(arm, arm_episodes, planted, tmp_path_factory):
     """The problem that an arm with two causes poses, and a look at every effect alone."""
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(
-        Replayer(arm), recs, np.random.default_rng(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True
-    )
+    problem = _problem(Replayer(arm), recs, Streams(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True)
     return problem, look(problem, problem.nominal, ())
 
 
@@ -370,7 +369,7 @@ def test_an_alias_that_is_not_yet_fitted_is_refitted_before_it_is_judged(tmp_pat
     effects = (*plant("servo_damping", kv_scale=2.0), *plant("actuation_delay", delay_s=0.03))
     jobs = [EpisodeJob(f"e{i}", i, "free_sweep", 3, effects, hidden=True) for i in range(12)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     servo, late, damped, dry = (
         candidate(n, scene) for n in ("servo_damping", "actuation_delay", "joint_damping", "joint_dry_friction")
     )
