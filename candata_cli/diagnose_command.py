@@ -72,6 +72,11 @@ CacheDir = Annotated[
     typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
 ]
 
+SharedSignatures = Annotated[
+    bool,
+    typer.Option("--shared-signatures", help="Take what candata gap signatures simulated for the same commands."),
+]
+
 
 @console.stoppable()
 def diagnose(
@@ -95,11 +100,12 @@ def diagnose(
     budget: BudgetS = None,
     keep: Keep = True,
     cache_dir: CacheDir = None,
+    shared_signatures: SharedSignatures = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     failing_verdicts, names = _verdicts(fail_on), console.words(only)
-    _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects)
+    _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects, shared_signatures)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as find
     from candata.reports import summary
@@ -120,6 +126,7 @@ def diagnose(
             only=names,
             against=None if against is None else console.open_named(against),
             budget=budget,
+            shared_signatures=shared_signatures,
             progress=stage,
             ends=stage.ends,
         )
@@ -158,6 +165,7 @@ def _refuse_pairs(
     keep: bool,
     run: Path | None,
     effects: Path | None,
+    shared_signatures: bool,
 ) -> None:
     """Refuse options that mean nothing without, or with, another."""
     from candata.errors import UsageError
@@ -170,6 +178,8 @@ def _refuse_pairs(
         raise UsageError("--run with --against or --effects", expected="one of them", fix="leave --run out")
     if cache_dir is not None and not keep:
         raise UsageError("--cache-dir with --no-cache", expected="one of them")
+    if shared_signatures and not keep:
+        raise UsageError("--shared-signatures with --no-cache", expected="one of them")
 
 
 def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:

@@ -40,7 +40,7 @@ from candata.gap.score import score
 from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out
-from candata.gap.signatures import library
+from candata.gap.signatures import library, sharing_note
 from candata.gap.sized import with_sizes
 from candata.gap.starts import start_notes, starts
 from candata.gap.streams import Streams
@@ -77,6 +77,7 @@ def diagnose(
     against: Dataset | None = None,
     budget: float | None = None,
     calibrate: bool = True,
+    shared_signatures: bool = False,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
@@ -93,8 +94,8 @@ def diagnose(
     seed : int
         Seed of folds, null replays and resamples.
     cache : Path, optional
-        Folder in which what effects do is kept for the next diagnosis of the same recordings, or of others of the
-        same commands where their signatures are kept there; nothing is kept by default.
+        Folder in which what effects do is kept for the next diagnosis of the same recordings; nothing is kept by
+        default. The result does not depend on it.
     only : tuple of str
         Effects to search among; all that can act and show by default.
     against : Dataset, optional
@@ -105,6 +106,10 @@ def diagnose(
     calibrate : bool
         Whether a joint fit of all quantities is made where the verdict leaves much unexplained; no verdict depends on
         it.
+    shared_signatures : bool
+        Whether signatures are taken that `candata gap signatures` has put into `cache` for other recordings of the same
+        commands, where there are some. They begin where those recordings did, which the report notes: the ranking of
+        what comes nearest, and ties, may differ from what these recordings alone say.
     progress : callable
         Called with the name of each stage.
     ends : callable
@@ -141,6 +146,7 @@ def diagnose(
             cache,
             only,
             tell,
+            share=None if shared_signatures else False,
             forecast=forecast,
             sofar=sofar,
             against=against,
@@ -229,7 +235,7 @@ def posed(
     cache: Path | None,
     only: tuple[str, ...] = (),
     progress: Progress = lambda stage: None,
-    share: bool | None = None,
+    share: bool | None = False,
     forecast: Forecast | None = None,
     sofar: SoFar | None = None,
     against: Dataset | None = None,
@@ -269,7 +275,7 @@ def _problem(
     streams: Streams,
     cache: Path | None,
     progress: Progress,
-    share: bool | None = None,
+    share: bool | None = False,
     forecast: Forecast | None = None,
 ) -> Problem:
     """Return the search problem."""
@@ -285,7 +291,8 @@ def _problem(
     shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
     kind, noise, notes, loss_error = sensor_noise(replayer.scene.file.noise, recs, readings, replayer.scene.sliding)
     slow, slow_notes = slow_deviation(replayer.scene, recs, raw, shelf.nulls(noise), plan, kind)
-    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes, *slow_notes), slow=slow)
+    notes = (*start_notes(replayer.scene, begin), *notes, *slow_notes, *sharing_note(shelf))
+    recs = replace(recs, notes=(*recs.notes, *notes), slow=slow)
     shelf = replace(shelf, recs=recs) if slow else shelf
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan, loss_error, streams.seed)
     parts = folds(recs.tasks, streams.of("folds", recs.ids), recs.independent)

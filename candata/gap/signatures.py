@@ -215,7 +215,7 @@ def library(
     raw: Array,
     root: Path | None,
     told: Callable[[str], None] = lambda stage: None,
-    share: bool | None = None,
+    share: bool | None = False,
 ) -> Library:
     """Return the library of a set of recordings.
 
@@ -229,9 +229,9 @@ def library(
         The cache's folder; None keeps nothing.
     told : callable
         Hears how far simulations are.
-    share : bool, optional
-        Whether to take, and make, signatures that recordings of the same commands share; by default where somebody has
-        begun to fill such a library. Without a folder there is none.
+    share : bool or None
+        Whether to take, and make, signatures that recordings of the same commands share; with None they are taken
+        where somebody has begun to fill such a library, none are made. Without a folder there is none.
     """
     flat = replace(plan, phase=np.zeros_like(plan.phase))
     if root is None:
@@ -247,6 +247,13 @@ def library(
     made = Library(replayer, recs, shared, flat, raw, folder, False, told=told, own=own)
     made._nominal()  # which all signatures need
     return made
+
+
+def sharing_note(shelf: Library) -> tuple[str, ...]:
+    """Return the note that signatures are shared, and with which start, by the name of its folder; none of own ones."""
+    if shelf.seen or shelf.folder is None:
+        return ()
+    return (f"what effects do is read off signatures that recordings of these commands share ({shelf.folder.name})",)
 
 
 def is_read_at_start(some: EffectSet) -> bool:

@@ -44,7 +44,7 @@ def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation
     if not looked_again:
         monkeypatch.setattr(sets, "BELIEVED", -np.inf)
     problem, delay = late
-    found, _, _ = sets.forward(problem, delay, ())
+    (found, _, _), _ = sets.forward(problem, delay, ())
     assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is looked_again
 
 
@@ -96,7 +96,7 @@ def test_what_is_left_of_a_large_gap_is_simulated_too_where_signatures_promise_n
     monkeypatch.setattr(sets, "has_room", lambda best: False)
     monkeypatch.setattr(sets, "gains_share", lambda problem, here, found, held: False)
     monkeypatch.setattr(sets, "FAINT", faint)
-    found, _, _ = sets.forward(problem, fit, ())
+    (found, _, _), _ = sets.forward(problem, fit, ())
     assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is named
 
 

@@ -223,7 +223,7 @@ def test_a_fit_that_was_judged_is_kept_where_the_replays_end(wrong):
     """Idle quantities and all: nothing is left to fit the others again without them."""
     possible = candidates(wrong.scene, wrong.problem.recs.channels)
     kinds = [c for c in possible if not c.choices and c.name in {*WRONG, *SOUND}]
-    fitted = joint_fit(replace(wrong.problem, rng=np.random.default_rng(0)), kinds, (), 80.0)
+    fitted = joint_fit(replace(wrong.problem, streams=Streams(0)), kinds, (), 80.0)
     assert fitted is not None
     assert fitted.fit.gain > 0.2 * wrong.problem.score.loss(wrong.problem.nominal).mean()
     assert set(SOUND) & {c.name for c, _ in fitted.fit.members}

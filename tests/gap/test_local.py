@@ -21,9 +21,8 @@ def variants(arm, arm_episodes, planted):
     """The function that gives the labels of the variants that an arm with a fault is searched for."""
 
     def find(*fault, **parameters) -> set[str]:
-        rng = np.random.default_rng(0)
         recs = recordings(arm, arm_episodes(planted(*fault, **parameters) if fault else ()))
-        problem = _problem(Replayer(arm), recs, rng, None, lambda stage: None)
+        problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
         nominal = problem.nominal
         responses, _ = respond(problem, nominal, candidates(arm, list(recs.readings)))
         base, _ = typical(problem, nominal, ())

@@ -42,7 +42,7 @@ def seen(cube, tossed):
 
     def look(effects=(), count: int = COUNT):
         recs = tossed(effects, count)
-        return length_scale(cube, recs, starts(cube, recs), np.random.default_rng(2))
+        return length_scale(cube, recs, starts(cube, recs), Streams(2))
 
     return look
 
@@ -90,7 +90,7 @@ def test_a_toss_that_is_cut_before_it_rests_or_has_gaps_counts_for_less(cube, to
     begin = starts(cube, recs)
     recs.readings["object_pose"][:10, -3:] = np.nan
     recs.readings["object_pose"][2, 1:4] = np.nan
-    found = length_scale(cube, recs, begin, np.random.default_rng(0))
+    found = length_scale(cube, recs, begin, Streams(0))
     assert found.rest is None
     assert found.flight.holds(1.0)
 

@@ -229,9 +229,7 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
     monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
     monkeypatch.setattr(attribute, "alone", lambda *a: None)
     monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
-    problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
-    )
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     after = attribute.attribute(problem)
     if not asked:
         assert after == replace(found, doubt=after.doubt)
@@ -253,8 +251,6 @@ def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypat
     asked = []
     monkeypatch.setattr(attribute, "alone", lambda problem, *a: asked.append(a))
     monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
-    problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
-    )
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     assert attribute.attribute(problem).chosen == "a set"
     assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])

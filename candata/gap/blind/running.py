@@ -43,7 +43,7 @@ class Place(NamedTuple):
 
 def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Report:
     """Return candata's own report of a dataset; signatures are kept in `cache`, or not at all."""
-    return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False).report
+    return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False, shared_signatures=True).report
 
 
 def run_cases(
