@@ -43,7 +43,7 @@ CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
 OWN_CODE = (
     *("deviation", "floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "robust", "shooting"),
-    *("rounding", "signatures", "smoother", "starts"),
+    *("rounding", "signatures", "smoother", "starts", "streams"),
 )
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
