@@ -321,13 +321,14 @@ def _content(recs: Recordings, begin: Starts) -> str:
 
 
 def _known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts] | None:
-    """Return the folder of signatures from (nearly) the same start, and that start; None where there is none."""
-    for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
-        found = _start_in(known)
-        if found is not None and _is_same(scene, found, begin):
-            kept.used(known.parent)
-            return known.parent, found
-    return None
+    """Return the folder of signatures from the nearest start that counts as the same, and it; None where none does."""
+    files = sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ()
+    read = [(file.parent, found) for file in files if (found := _start_in(file)) is not None]
+    same = [(own, found) for own, found in read if _is_same(scene, found, begin)]
+    nearest = min(same, key=lambda pair: float(np.abs(pair[1].qpos - begin.qpos).max()), default=None)
+    if nearest is not None:
+        kept.used(nearest[0])
+    return nearest
 
 
 def _new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:

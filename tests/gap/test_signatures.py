@@ -137,6 +137,16 @@ def test_starts_that_a_biased_sensor_could_have_read_share_signatures(still, tmp
     assert np.array_equal(second.begin.qpos, first.begin.qpos if shared else moved.qpos)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_two_starts_that_count_as_the_same_the_nearest_is_taken_whichever_was_first(still, tmp_path, first):
+    def moved(off_rad: float):
+        return replace(still.begin, qpos=still.begin.qpos + off_rad, qpos0=still.begin.qpos0 + off_rad)
+
+    both = (0.0, 0.15) if first == 0 else (0.15, 0.0)
+    kept_at = {off: shelf(still, tmp_path, moved(off)).folder for off in both}
+    assert [shelf(still, tmp_path, moved(off)).folder for off in (0.06, 0.09)] == [kept_at[0.0], kept_at[0.15]]
+
+
 def test_other_commands_have_other_signatures(still, tmp_path):
     recs = replace(still.recs, commands=still.recs.commands + 1e-6)
     other = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=True)
