@@ -58,6 +58,7 @@ def test_they_are_kept_where_a_diagnosis_looks(short, tmp_path, monkeypatch):
         (("gap", "signatures", "{short}", "--scene", "nowhere.yaml"), "nowhere.yaml"),
         (("gap", "signatures", "nowhere", *HAND), "nowhere"),
         (("diagnose", "{short}", *HAND, "--out", "out", "--no-cache", "--cache-dir", "x"), "with --no-cache"),
+        (("diagnose", "{short}", *HAND, "--out", "out", "--no-cache", "--shared-signatures"), "with --no-cache"),
     ],
 )
 def test_what_is_wrong_is_said(short, tmp_path, monkeypatch, line, text):

@@ -81,7 +81,7 @@ def again(
     The first diagnosis is done again, as its motion was not kept; should it be ambiguous no more, that is the result.
     """
     truth = Label.model_validate_json(label)
-    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache, calibrate=False)
+    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache, calibrate=False, shared_signatures=True)
     if not found.report.ambiguous_class or not found.motion:
         return Answer(found.report)
     turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]

@@ -58,7 +58,7 @@ class Place(NamedTuple):
 
 def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Answer:
     """Return candata's own answer to a dataset; signatures are kept in `cache`, or not at all."""
-    found = diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False)
+    found = diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False, shared_signatures=True)
     return Answer(found.report, found.replays)
 
 
