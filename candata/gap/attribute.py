@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from candata.gap.added import aliases, challenged, here_of, together
+from candata.gap.added import aliases, challenged, residuals_at, together
 from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
 from candata.gap.fewer import by_choice, completed, merged, simplified, widened
@@ -315,7 +315,7 @@ def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
 
 def _beside(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
     """Return a doubt that must explain more than what was chosen, in units of the floor of its `world`, too."""
-    return doubt.beyond(world, here_of(world, chosen)) if doubt and chosen else doubt
+    return doubt.beyond(world, residuals_at(world, chosen.members)) if doubt and chosen else doubt
 
 
 def _as_one(

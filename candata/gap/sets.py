@@ -287,7 +287,9 @@ def _further(problem: Problem, best: Fit, grown: Fit | None) -> Fit | None:
     if grown is None or not worth_adding(extra_of(best, grown), best.gain) or is_full(grown.members, problem.measured):
         return None
     found = _next(problem, grown)
-    return found if isinstance(found, Fit) and are_worth_two(best, found) else None
+    if found is None or isinstance(found, Mended):
+        return None
+    return found if are_worth_two(best, found) else None
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
@@ -325,7 +327,9 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
-    return grown if isinstance(grown, Fit) and is_next(best, grown, problem.recs.tasks) else None
+    if grown is None or isinstance(grown, Mended):
+        return None
+    return grown if is_next(best, grown, problem.recs.tasks) else None
 
 
 def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:
