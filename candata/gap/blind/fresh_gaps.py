@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
 
-import numpy as np
-
 from candata.errors import CandataError
 from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.nominal_scene import NominalScene
@@ -22,6 +20,7 @@ from candata.gap.effort_unit import with_effort_unit
 from candata.gap.recordings import recordings
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.shrink import gap
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 from candata.schema.bench import FreshGap, Label, LabelsFile
 from candata.schema.effect import EffectSetting, EffectsFile
@@ -141,10 +140,10 @@ def fresh_gap(
             for i in range(episodes)
         ]
         nominal = scene.load()
-        replayer, rng = Replayer(nominal), np.random.default_rng(0)
+        replayer, streams = Replayer(nominal), Streams()
         recs, _ = with_effort_unit(replayer, recordings(nominal, hidden_world(own, truth, plans, duration_s)))
-        found = replayed(replayer, recs, effects, rng, FEW_REPLICAS)
-        size = gap(found.size_before, found.size_after, rng, gap_left=True)
+        found = replayed(replayer, recs, effects, streams, FEW_REPLICAS)
+        size = gap(found.size_before, found.size_after, streams.of("gap", recs.ids), gap_left=True)
     except CandataError as problem:
         return FreshGap(case=case, sealed=sealed, episodes=episodes, error=problem.problem)
     return FreshGap(case=case, sealed=sealed, episodes=episodes, gap=size)
