@@ -115,11 +115,13 @@ def import_(
     _import_format(format_name, sources, out, append, reading)
 
 
-def _labels(pairs: list[str]) -> dict[str, bool | int | float | str]:
-    """Return labels from `NAME=VALUE`: a number where its text is how that number is written, else text."""
+def _labels(pairs: list[str]) -> dict[str, int | float | str]:
+    """Return labels from `NAME=VALUE`: a finite number where its text is how that number is written, else text."""
+    from math import isfinite
+
     from candata.errors import UsageError
 
-    labels: dict[str, bool | int | float | str] = {}
+    labels: dict[str, int | float | str] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not (name and equals and text) or name in labels:
@@ -127,7 +129,7 @@ def _labels(pairs: list[str]) -> dict[str, bool | int | float | str]:
         labels[name] = text
         for number in (int, float):
             with suppress(ValueError):
-                if str(number(text)) == text:
+                if isfinite(number(text)) and str(number(text)) == text:
                     labels[name] = number(text)
                     break
     return labels
@@ -206,9 +208,12 @@ def _import_logs(
     import hashlib
 
     from candata import __version__
-    from candata.errors import UsageError
+    from candata.errors import UnknownNameError, UsageError
     from candata.schema.manifest import Lineage
+    from candata.schema.outcome import OUTCOMES
 
+    if settings.get("outcome", OUTCOMES[0]) not in OUTCOMES:
+        raise UnknownNameError("outcome", settings["outcome"], OUTCOMES)
     if "episode" in settings and len(logs) > 1:
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
     _refuse_standing(out, append)

@@ -117,7 +117,7 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
         # What the few most telling episodes promised, the others do not keep.
         return found
-    other = _search(problem, first, _beside(doubt, replace(problem, score=found.score), found.chosen))
+    other = _search(problem, first, _doubt_beyond(doubt, replace(problem, score=found.score), found.chosen))
     if other.force:
         return other
     uneven = None if held else _uneven(first, recentred(problem, first, other.chosen))
@@ -259,7 +259,7 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     if force:
         return _ended(first, grown, force)
     chosen, world, remains = grown
-    doubt = _beside(doubt, world, chosen)
+    doubt = _doubt_beyond(doubt, world, chosen)
     little = not remains and leaves(world, chosen)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
@@ -313,7 +313,7 @@ def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
     return Attribution(first, chosen, (chosen,), world.score, remains, force=force)
 
 
-def _beside(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
+def _doubt_beyond(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
     """Return a doubt that must explain more than what was chosen, in units of the floor of its `world`, too."""
     return doubt.beyond(world, residuals_at(world, chosen.members)) if doubt and chosen else doubt
 

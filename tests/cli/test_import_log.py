@@ -240,11 +240,11 @@ def test_the_same_log_twice_adds_nothing(sent, tmp_path, capsys):
 
 
 def test_what_else_is_known_of_an_episode_is_kept(sent, tmp_path):
-    words = ("--outcome", "success", "--label", "start=0007", "--label", "mass_kg=0.25", "--label", "run=3")
+    words = ("--outcome", "success", "--label", "start=0007", "--label", "mass_kg=0.25", "--label", "side=nan")
     assert exit_code("import", "log", sent.log, "--episode", "told", *words, "--out", tmp_path / "ds") == 0
     meta = open_dataset(tmp_path / "ds").episode("told").meta
     assert meta.outcome == "success"
-    assert meta.labels == {"start": "0007", "mass_kg": 0.25, "run": 3}
+    assert meta.labels == {"start": "0007", "mass_kg": 0.25, "side": "nan"}
 
 
 def test_several_logs_are_one_version(tmp_path, played, capsys):
@@ -288,6 +288,7 @@ def empty(folder: Path) -> Path:
         (lambda sent, folder: [sent.log, "--newton-per-count", "-1"], "newton_per_count"),
         (lambda sent, folder: [sent.log, "--allow-gaps"], "`import log` takes no --allow-gaps"),
         (lambda sent, folder: [sent.log, sent.log, "--episode", "x"], "--episode names one episode"),
+        (lambda sent, folder: [sent.log, "--outcome", "sucess"], "success"),
         (lambda sent, folder: [sent.log, "--label", "start"], "--label is no new name with its value"),
         (lambda sent, folder: [sent.log, "--label", "a=1", "--label", "a=2"], "--label is no new name with its value"),
     ],

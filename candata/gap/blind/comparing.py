@@ -147,39 +147,29 @@ def _values(pairs: Sequence[Pair], value: Callable[[ScoredResult], float | None]
 def _cost(measure: str, values: Array) -> PairedMeasure | None:
     """Return medians, and the median over cases of the second cost over the first; None without values above zero."""
     values = values[(values > 0).all(1)]
-    if not len(values):
-        return None
-    ratios = values[:, 1] / values[:, 0]
-    low, high = np.quantile(np.median(_resampled(ratios), axis=1), ENDS)
-    first, second = np.median(values, axis=0)
-    return PairedMeasure(
-        measure=measure,
-        cases=len(values),
-        statistic="median",
-        first=float(first),
-        second=float(second),
-        change=float(np.median(ratios)),
-        is_ratio=True,
-        low=float(low),
-        high=float(high),
-    )
+    return _paired(measure, values, values[:, 1] / values[:, 0], is_ratio=True)
 
 
 def _belief(measure: str, values: Array) -> PairedMeasure | None:
     """Return means, and the mean over cases of the second value less the first; None without values."""
+    return _paired(measure, values, values[:, 1] - values[:, 0], is_ratio=False)
+
+
+def _paired(measure: str, values: Array, changes: Array, is_ratio: bool) -> PairedMeasure | None:
+    """Return the middles of values `(n, 2)` and of changes `(n,)`: medians of ratios, else means; None if n is 0."""
     if not len(values):
         return None
-    changes = values[:, 1] - values[:, 0]
-    low, high = np.quantile(_resampled(changes).mean(1), ENDS)
-    first, second = values.mean(0)
+    middle = np.median if is_ratio else np.mean
+    low, high = np.quantile(middle(_resampled(changes), axis=1), ENDS)
+    first, second = middle(values, axis=0)
     return PairedMeasure(
         measure=measure,
         cases=len(values),
-        statistic="mean",
+        statistic="median" if is_ratio else "mean",
         first=float(first),
         second=float(second),
-        change=float(changes.mean()),
-        is_ratio=False,
+        change=float(middle(changes)),
+        is_ratio=is_ratio,
         low=float(low),
         high=float(high),
     )
