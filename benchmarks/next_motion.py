@@ -31,6 +31,7 @@ from candata.gap.score import score
 from candata.gap.search import Problem
 from candata.gap.signatures import library
 from candata.gap.starts import starts
+from candata.gap.streams import Streams
 from candata.policies import Motion
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
@@ -79,7 +80,7 @@ def record(scene: Scene, motion: Motion, world: EffectSet, count: int, seed: int
     raw = residual(recs, plan, nominal)
     level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, raw, None)
-    return Problem(replayer, recs, begin, plan, level, [], noise, kind, rng, shelf, nominal, raw)
+    return Problem(replayer, recs, begin, plan, level, [], noise, kind, Streams(seed), shelf, nominal, raw)
 
 
 def fitted(problem: Problem, c: Candidate) -> np.ndarray:

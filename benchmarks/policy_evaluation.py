@@ -1,6 +1,6 @@
 """How well each world ranks policies: eight policies in three withheld worlds, and what an evaluation costs.
 
-    python benchmarks/policy_evaluation.py --out out/policies [--starts 50] [--worlds slippery,heavy] [--minutes 10]
+    python benchmarks/policy_evaluation.py --out out/policies [--starts 50] [--worlds slippery,heavy] [--steps 3000]
 
 Each withheld world is `xhand_tabletop` with effects that are written below. It gives recordings, which train the
 learned worlds (first trained on nominal simulations) and are diagnosed for the repair (`--repair diagnose`), and other
@@ -74,7 +74,7 @@ def trained(folder: Path, data: Path, model: str, asked: argparse.Namespace, ini
     if (folder.parent / f"{folder.name}.done").exists():
         return folder
     start = ["--init", initial] if initial is not None else []
-    length = ("--minutes", asked.minutes, "--threads", asked.threads)
+    length = ("--steps", asked.steps, "--threads", asked.threads)
     candata("train", "--data", data, "--model", model, *length, "--out", folder, *start)
     (folder.parent / f"{folder.name}.done").touch()
     return folder
@@ -158,7 +158,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=10)
     parser.add_argument("--worlds", default=",".join(WORLDS), help="withheld worlds")
     parser.add_argument("--models", default="contact_diffusion,sim_residual", help="learned worlds; empty for none")
-    parser.add_argument("--minutes", type=float, default=1.0, help="of each training")
+    parser.add_argument("--steps", type=int, default=300, help="of each training")
     parser.add_argument("--episodes", type=int, default=48, help="recordings of each withheld world")
     parser.add_argument("--pretrain", type=int, default=100, help="nominal simulations to train on first")
     parser.add_argument("--repair", choices=("diagnose", "near"), default="near")

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from busy_machine import busy, wait_for
 
 from candata.record.logs import read_log
 
@@ -44,26 +45,6 @@ def hand(folder: Path) -> Iterator[tuple[Path, Path]]:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(60)
-
-
-@contextmanager
-def busy() -> Iterator[None]:
-    """Keep a core busy."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
-def wait_for(done, limit_s: float, problem: str) -> None:
-    """Return once `done()`; stop the benchmark after `limit_s`."""
-    until = time.monotonic() + limit_s
-    while not done():
-        if time.monotonic() > until:
-            raise SystemExit(problem)
-        time.sleep(0.02)
 
 
 def lost_frames(folder: Path, seconds: float) -> dict:

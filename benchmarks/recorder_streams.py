@@ -21,16 +21,17 @@ import subprocess
 import sys
 import tempfile
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from busy_machine import busy, wait_for
 
 from candata.record.devices import hand, stream
 from candata.record.devices._wire import wire_time_ns
+from candata.record.emulate_streams import SerialOutlet
 from candata.record.log_streams import LoggedStream
 from candata.record.logs import Log, read_log
 
@@ -134,18 +135,8 @@ def send_all(folder: Path) -> None:
 
 
 def _pty(link: Path) -> Callable[[bytes], bool]:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
-    link.symlink_to(os.ttyname(slave))
-
-    def send(data: bytes) -> bool:
-        try:
-            return os.write(master, data) == len(data)
-        except BlockingIOError:
-            return False
-
-    return send
+    outlet = SerialOutlet(link)
+    return lambda data: outlet.write(data) == len(data)
 
 
 def _clients(server: socket.socket) -> Callable[[bytes], bool]:
@@ -199,26 +190,6 @@ def senders(folder: Path) -> Iterator[list[str]]:
     finally:
         process.terminate()
         process.wait(60)
-
-
-@contextmanager
-def busy() -> Iterator[None]:
-    """Keep a core busy."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
-def wait_for(done: Callable[[], bool], limit_s: float, problem: str) -> None:
-    """Return once `done()`; stop the benchmark after `limit_s`."""
-    until = time.monotonic() + limit_s
-    while not done():
-        if time.monotonic() > until:
-            raise SystemExit(problem)
-        time.sleep(0.02)
 
 
 def recorder(options: list[str], log: Path, *more: str) -> subprocess.Popen:

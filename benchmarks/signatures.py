@@ -65,7 +65,7 @@ def diagnosed(some: Source, scene: Scene) -> Cost:
     """Return what a diagnosis takes, and how many files it keeps that were not there."""
     before = len(list(Path(some.cache).rglob("*.npz")))
     cpu, begun = time.process_time(), time.monotonic()
-    diagnose(open_dataset(some.dataset), scene, cache=Path(some.cache), only=some.only)
+    diagnose(open_dataset(some.dataset), scene, cache=Path(some.cache), only=some.only, shared_signatures=True)
     new = len(list(Path(some.cache).rglob("*.npz"))) - before
     return Cost(time.process_time() - cpu, time.monotonic() - begun, new)
 

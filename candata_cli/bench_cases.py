@@ -23,7 +23,7 @@ SCENE = "gripper_tabletop"
 
 @dataclass(frozen=True)
 class BenchRequest:
-    """Which cases a run is asked to make; `scene` is empty for random small scenes."""
+    """Which cases a run is asked to make; `scene` is empty for random small scenes, `salt` null for a secret one."""
 
     scene: str
     traits: tuple[str, ...]
@@ -32,6 +32,8 @@ class BenchRequest:
     seed: int
     episodes: int
     duration_s: float | None
+    noise: str = "declared"
+    salt: str | None = None
 
 
 def bench_request(
@@ -44,6 +46,7 @@ def bench_request(
     seed: int,
     episodes: int | None,
     duration_s: float | None,
+    noise: str = "declared",
 ) -> BenchRequest:
     """Return what a bench is asked for.
 
@@ -56,8 +59,9 @@ def bench_request(
     """
     from candata.effects import effect_names
     from candata.errors import UsageError
-    from candata.gap.blind.draws import COUNTS
+    from candata.gap.blind.draws import COUNTS, NOISES
 
+    listed_words(noise, tuple(NOISES), "kind of noise")
     if world is None:
         if traits:
             raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
@@ -70,6 +74,7 @@ def bench_request(
             seed,
             episodes or IN_ONE[0],
             IN_ONE[1] if duration_s is None else duration_s,
+            noise,
         )
     from candata.gap.blind.rigs.cases import COUNTS as SMALL
     from candata.gap.blind.rigs.cases import WORLD as RANDOM
@@ -82,6 +87,12 @@ def bench_request(
             "--scene and --world exclude each other: each case of a random world brings its own scene",
             found=f"--scene {scene} --world {world}",
             fix="leave one of the two out",
+        )
+    if noise != "declared":
+        raise UsageError(
+            "--noise is for cases in one scene: random small scenes draw whether their noise is declared",
+            found=f"--noise {noise} --world {world}",
+            fix="leave --noise or --world out",
         )
     default_kinds = kinds == ",".join(KINDS)
     case_counts = _counts(",".join(SMALL) if default_kinds else kinds, counts, SMALL)
@@ -124,6 +135,8 @@ def _make_in_one(out: Path, request: BenchRequest, crew: Crew) -> None:
         duration_s=length,
         only=request.only,
         live=live_effects,
+        noise=request.noise,
+        salt=request.salt,
     )
     with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_cases(
@@ -155,6 +168,7 @@ def _make_small(out: Path, request: BenchRequest, crew: Crew) -> None:
             only=request.only,
             crew=crew,
             told=lambda _name: advance(1),
+            salt=request.salt,
         )
     with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_rig_cases(

@@ -72,6 +72,11 @@ CacheDir = Annotated[
     typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
 ]
 
+SharedSignatures = Annotated[
+    bool,
+    typer.Option("--shared-signatures", help="Take what candata gap signatures simulated for the same commands."),
+]
+
 
 @console.stoppable()
 def diagnose(
@@ -95,20 +100,19 @@ def diagnose(
     budget: BudgetS = None,
     keep: Keep = True,
     cache_dir: CacheDir = None,
+    shared_signatures: SharedSignatures = False,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     failing_verdicts, names = _verdicts(fail_on), console.words(only)
-    _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects)
+    _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects, shared_signatures)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as find
     from candata.reports import summary
-    from candata.scenes import load_scene
 
-    world = _nominal(load_scene(scene), effects)
+    world = _nominal(scene, effects)
     edit_data = None if edit is None else _edit_data(edit, edit_scene, world, effects)
-    kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
-    with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
+    with console.stoppable(_kept_words(cache), goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
         _check_run(run, data)
         diagnosis = find(
@@ -120,6 +124,7 @@ def diagnose(
             only=names,
             against=None if against is None else console.open_named(against),
             budget=budget,
+            shared_signatures=shared_signatures,
             progress=stage,
             ends=stage.ends,
         )
@@ -137,12 +142,19 @@ def diagnose(
         raise typer.Exit(1)
 
 
-def _nominal(scene: Scene, effects: Path | None) -> Scene:
-    """Return the scene with the effects of a file as part of it."""
+def _kept_words(cache: Path | None) -> str:
+    """Return where what was simulated is kept, in words."""
+    return f"what was simulated is kept in {cache}" if cache else "nothing is kept"
+
+
+def _nominal(name: str, effects: Path | None) -> Scene:
+    """Return the scene of a name or file with the effects of a file as part of it."""
     from candata.effects import read_effects
+    from candata.scenes import load_scene
     from candata.simulate import with_effects
     from candata_cli.effects_option import note_other_scene
 
+    scene = load_scene(name)
     if effects is None:
         return scene
     effects_file = read_effects(effects)
@@ -158,6 +170,7 @@ def _refuse_pairs(
     keep: bool,
     run: Path | None,
     effects: Path | None,
+    shared_signatures: bool,
 ) -> None:
     """Refuse options that mean nothing without, or with, another."""
     from candata.errors import UsageError
@@ -170,6 +183,8 @@ def _refuse_pairs(
         raise UsageError("--run with --against or --effects", expected="one of them", fix="leave --run out")
     if cache_dir is not None and not keep:
         raise UsageError("--cache-dir with --no-cache", expected="one of them")
+    if shared_signatures and not keep:
+        raise UsageError("--shared-signatures with --no-cache", expected="one of them")
 
 
 def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:
@@ -226,9 +241,8 @@ def _with_model(
 def _edit_data(edit: str, edit_scene: str | None, world: Scene, effects: Path | None) -> tuple[Dataset, Scene]:
     """Return recordings of an edit test and their scene; what does not fit is refused before the long work begins."""
     from candata.gap.edit import readable
-    from candata.scenes import load_scene
 
-    scene = _nominal(load_scene(edit_scene), effects) if edit_scene else world
+    scene = _nominal(edit_scene, effects) if edit_scene else world
     dataset = console.open_named(edit)
     readable(dataset, scene)
     return dataset, scene

@@ -122,8 +122,8 @@ def emulate(
 ) -> None:
     """Stand in for a hand: send an episode's frames on a pseudo-terminal, whose path is printed first.
 
-    Requests and replies come as a listener on the pair of wires sees them. Bytes that the reader does not take in
-    time are lost, as on a real port. Ctrl-C ends it with a report.
+    Requests and replies come as a listener on the pair of wires sees them. Where the reader is so late that 64 KiB
+    wait, whole frames are lost, as on a real port, and counted. Ctrl-C ends it with a report.
     """
     from candata.record import emulate_files as files
     from candata.record.devices import hand

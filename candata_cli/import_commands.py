@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,8 +18,8 @@ from candata_cli.outputs import check_output
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from candata.record.import_recipe import ImportRecipe
     from candata.record.import_session import ImportedSession
-    from candata.record.importing import ImportRecipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
@@ -35,6 +37,7 @@ _OPTIONS = {
     "threshold_n": "--threshold",
     "release_n": "--release",
     "max_gap_periods": "--max-gap",
+    "labels": "--label",
 }
 _EXAMPLES = """\b
 Examples:
@@ -73,6 +76,8 @@ def import_(
     object_name: options.ObjectName = None,
     task: options.TaskName = None,
     episode: options.EpisodeId = None,
+    outcome: options.Outcome = None,
+    label: options.Labels = None,
 ) -> None:
     """Import recordings into a dataset: all of a source or nothing; the same source twice adds nothing."""
     from candata.errors import UsageError
@@ -89,15 +94,10 @@ def import_(
         "object": object_name,
         "task": task,
         "episode": episode,
+        "outcome": outcome,
+        "labels": _labels(label) if label else None,
     }
     stated_settings = {name: value for name, value in settings.items() if value is not None}
-    labels = (
-        {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings} if format_name != LOG else {}
-    )
-    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings} | {
-        "--with": companions,
-        "--replace": replace,
-    }
     if format_name == LOG:
         refused_options: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
         _refuse_options(refused_options, "`import log` takes no")
@@ -105,12 +105,34 @@ def import_(
             raise UsageError("--replace changes a dataset that stands", fix="give --append as well")
         _import_logs(sources, companions or [], stated_settings, out, append, replace)
         return
-    _refuse_options(only_log, "only `import log` takes")
+    labels = {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings}
+    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings}
+    _refuse_options(only_log | {"--with": companions, "--replace": replace}, "only `import log` takes")
     if format_name == TABLE:
         refused_options = {"--map": mapping, "--source": origin} | {f"--{name}": True for name in labels}
         _refuse_options(refused_options, "`import table` reads it from its map and takes no")
     reading = {"allow_gaps": allow_gaps, "mapping": mapping, **labels} | ({"source": origin} if origin else {})
     _import_format(format_name, sources, out, append, reading)
+
+
+def _labels(pairs: list[str]) -> dict[str, int | float | str]:
+    """Return labels from `NAME=VALUE`: a finite number where its text is how that number is written, else text."""
+    from math import isfinite
+
+    from candata.errors import UsageError
+
+    labels: dict[str, int | float | str] = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not (name and equals and text) or name in labels:
+            raise UsageError("--label is no new name with its value", expected="NAME=VALUE, each name once", found=pair)
+        labels[name] = text
+        for number in (int, float):
+            with suppress(ValueError):
+                if isfinite(number(text)) and str(number(text)) == text:
+                    labels[name] = number(text)
+                    break
+    return labels
 
 
 def _refuse_options(options: Mapping[str, object], problem: str) -> None:
@@ -186,13 +208,17 @@ def _import_logs(
     import hashlib
 
     from candata import __version__
-    from candata.errors import UsageError
+    from candata.errors import UnknownNameError, UsageError
     from candata.schema.manifest import Lineage
+    from candata.schema.outcome import OUTCOMES
 
+    if settings.get("outcome", OUTCOMES[0]) not in OUTCOMES:
+        raise UnknownNameError("outcome", settings["outcome"], OUTCOMES)
     if "episode" in settings and len(logs) > 1:
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
     _refuse_standing(out, append)
-    recipe = _recipe(settings)
+    recipe, scene_clouds = _recipe(settings)
+    clouds: list[NDArray] = []
     log_records: list[tuple[str, dict]] = []
 
     def lineage() -> Lineage:
@@ -208,9 +234,11 @@ def _import_logs(
     def episodes() -> Iterator[Episode]:
         for digest, session in _read_logs(logs, companions, recipe):
             log_records.append((digest, session.details))
+            if any(episode.meta.point_cloud for episode in session.episodes):
+                clouds[:] = scene_clouds
             yield from session.episodes
 
-    _publish(out, append, episodes(), "import log", lineage, part_size=1, replaces=replace)
+    _publish(out, append, episodes(), "import log", lineage, part_size=1, clouds=clouds, replaces=replace)
 
 
 def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[tuple[str, ImportedSession]]:
@@ -232,16 +260,22 @@ def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -
         yield imported_log.digest, session
 
 
-def _recipe(settings: dict) -> ImportRecipe:
-    """Return the recipe of an import, the scene's file read; it bears the file's name, not its path."""
-    from candata.record.importing import ImportRecipe
+def _recipe(settings: dict) -> tuple[ImportRecipe, list[NDArray]]:
+    """Return the recipe of an import and the cloud of its scene's object; it bears the file's name, not its path."""
+    from candata.datasets.clouds import cloud_hash
+    from candata.record.import_recipe import ImportRecipe
 
+    clouds: list[NDArray] = []
     if "scene" in settings:
         from candata.scenes import load_scene
+        from candata.scenes.clouds import surface_cloud
 
         scene = load_scene(settings["scene"])
         settings = {**settings, "scene": Path(scene.name).name, "roles": scene.file}
-    return ImportRecipe.parse({"episode": "", **settings}, "options")
+        if scene.object_id is not None:
+            clouds = [surface_cloud(scene)]
+            settings["point_cloud"] = cloud_hash(clouds[0])
+    return ImportRecipe.parse({"episode": "", **settings}, "options"), clouds
 
 
 @console.stoppable()
@@ -313,12 +347,11 @@ def _publish(
 
     def add(root: Path) -> VersionFile:
         episode_stream = _with_progress(episodes, read_ids)
-        if replaces:
-            return publish_replacing(root, write_each(root, episode_stream, operation), lineage())
-        parts = write_parts(root, episode_stream, operation, part_size)
+        writes = write_each if replaces else partial(write_parts, part_size=part_size)
+        parts = writes(root, episode_stream, operation)
         for points in clouds:
             put_cloud(root, points)
-        return publish(root, parts, lineage())
+        return publish_replacing(root, parts, lineage()) if replaces else publish(root, parts, lineage())
 
     adds = append and out.exists()
     earlier_version = newest_version(out) if adds else None

@@ -63,3 +63,10 @@ TaskName = Annotated[str | None, typer.Option("--task", metavar="NAME", help="Wh
 EpisodeId = Annotated[
     str | None, typer.Option("--episode", metavar="ID", help="log: id of the episode [the file's name].")
 ]
+Outcome = Annotated[
+    str | None,
+    typer.Option("--outcome", metavar="NAME", help="log: how it ended, where no mark of a session says so."),
+]
+Labels = Annotated[
+    list[str] | None, typer.Option("--label", metavar="NAME=VALUE", help="log: what else is known; may be repeated.")
+]

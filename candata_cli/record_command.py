@@ -52,6 +52,7 @@ def record_real(
     rate: options.Rate = None,
     baud: options.Baud = None,
     reconnect: options.Reconnect = 10.0,
+    silence: options.Silence = None,
     reserve_mb: options.ReserveMb = 200,
     arm: options.Arm = None,
     pose: options.Pose = None,
@@ -70,10 +71,10 @@ def record_real(
     """Record a real hand and what is beside it: listen, calibrate, log every byte and what it says, until Ctrl-C."""
     from candata.record.poll import read_posture
     from candata.record.recorder import record
-    from candata.record.recorder_values import RecorderSettings
+    from candata.record.recorder_values import SILENCE_S, RecorderSettings
     from candata.record.replay import hand_source
 
-    out = session_options.check_session(out, session, episodes, gap, start_on_contact)
+    out = session_options.check_session(out, session, episodes, gap, start_on_contact, silence)
     hand = hand_source(device, port)
     sources = [*hand.streams, *_sources({"arm": arm, "pose": pose, "wrench": wrench}, stream or [])]
     if duration is not None:
@@ -86,6 +87,7 @@ def record_real(
         contact=session_options.contact_rule(threshold, release),
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
+        silence_s=silence or SILENCE_S,
         reserve_bytes=reserve_mb * 1_000_000,
         poll_rad=None if poll is None else read_posture(poll, hand.device),
     )

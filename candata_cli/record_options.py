@@ -28,6 +28,12 @@ Baud = Annotated[int | None, typer.Option("--baud", min=1, help="Baud rate; else
 Reconnect = Annotated[
     float, typer.Option("--reconnect", metavar="S", min=0.0, help="How long to wait for an unplugged port.")
 ]
+Silence = Annotated[
+    float | None,
+    typer.Option(
+        "--silence", metavar="S", min=1.0, help="Session: it ends after so long without a state; 60 by default."
+    ),
+]
 ReserveMb = Annotated[
     int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
 ]

@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 
 def check_session(
-    out: Path | None, folder: Path | None, episodes: int | None, gap_s: float | None, on_contact: bool
+    out: Path | None,
+    folder: Path | None,
+    episodes: int | None,
+    gap_s: float | None,
+    on_contact: bool,
+    silence_s: float | None,
 ) -> Path:
     """Return the log to write: `out`, or the one in a session's folder.
 
@@ -36,7 +41,12 @@ def check_session(
         both_text = "both" if out is not None else "neither"
         raise UsageError("give --out LOG, or --session DIR", expected="one of them", found=both_text)
     if folder is None:
-        options = {"--episodes": episodes, "--gap": gap_s, "--start-on-contact": on_contact or None}
+        options = {
+            "--episodes": episodes,
+            "--gap": gap_s,
+            "--start-on-contact": on_contact or None,
+            "--silence": silence_s,
+        }
         lone_names = [name for name, value in options.items() if value is not None]
         if lone_names:
             raise UsageError(f"only a session takes {lone_names[0]}", fix="give --session DIR instead of --out")

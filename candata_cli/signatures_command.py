@@ -15,7 +15,7 @@ _EXAMPLE = """\b
 Examples:
   candata gap signatures day1 --scene scene.yaml --jobs 8
   candata gap signatures day1 --scene scene.yaml --ray auto --cache-dir /shared/cache
-  candata diagnose day2 --scene scene.yaml --out out/day2 --cache-dir /shared/cache
+  candata diagnose day2 --scene scene.yaml --out out/day2 --cache-dir /shared/cache --shared-signatures
 
 \b
 It pays where the same commands are recorded again and again (about ten diagnoses of them; one diagnosis simulates
@@ -44,7 +44,7 @@ def signatures(
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=console.RAY)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the counts as JSON.")] = False,
 ) -> None:
-    """Simulate what every effect does under these commands, so that later diagnoses of them need not.
+    """Simulate what every effect does under these commands, so that later diagnoses need not (--shared-signatures).
 
     Another recording shares them when its commands are the same and it starts within 2 cm and 0.1 rad; not
     those of tracker biases and joint offsets, which follow from where each recording starts. An interrupted run goes on

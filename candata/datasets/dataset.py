@@ -17,7 +17,7 @@ from candata.datasets import durable, encode
 from candata.datasets.bounded import read_parquet
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
-from candata.datasets.versions import digest_of, find_version, read_dataset_file, version_path
+from candata.datasets.versions import digest_of, find_version, numbers, read_dataset_file, read_version, version_path
 from candata.errors import DataError, SetupError, UnknownNameError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
@@ -69,6 +69,12 @@ class Dataset:
     def digest(self) -> str:
         """sha256 over the sorted (episode id, content hash): equal for equal content."""
         return self.file.digest
+
+    @property
+    def digests(self) -> tuple[str, ...]:
+        """Digests of this version and of those before it, the newest first."""
+        older = [number for number in numbers(self.path) if number < self.version]
+        return (self.digest, *(read_version(self.path, number).digest for number in reversed(older)))
 
     @property
     def lineage(self) -> tuple[Lineage, ...]:

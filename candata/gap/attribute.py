@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from candata.gap.added import aliases, challenged, together
+from candata.gap.added import aliases, challenged, residuals_at, together
 from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
 from candata.gap.fewer import by_choice, completed, merged, simplified, widened
-from candata.gap.mending import Doubt, Mended
+from candata.gap.mending import Doubt, LoneForce, Mended
 from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged
 from candata.gap.pace import AGAIN, REST, SHARPEN
@@ -86,7 +86,7 @@ def attribute(problem: Problem) -> Attribution:
     what is found, no more is looked for. In the end the mean over many replays shows what contact hides from one.
     """
     # A toss has no motion that a force could be read off.
-    doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
+    doubt = None if is_toss(problem.replayer.scene) else Doubt(LoneForce(problem))
     found = _attributed(problem, doubt)
     shown = None if found.force or is_toss(problem.replayer.scene) else _in_mean(problem, found)
     return replace(shown or found, doubt=doubt)
@@ -117,7 +117,7 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
         # What the few most telling episodes promised, the others do not keep.
         return found
-    other = _search(problem, first, doubt)
+    other = _search(problem, first, _doubt_beyond(doubt, replace(problem, score=found.score), found.chosen))
     if other.force:
         return other
     uneven = None if held else _uneven(first, recentred(problem, first, other.chosen))
@@ -238,7 +238,7 @@ def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
 def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone, or where a doubt ends it."""
     nominal, problem.sofar.first = problem.nominal, first
-    remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
+    remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score))
     if remains and first.faint and first.passing() is None and not problem.simulated:
         # Before the cause is called unknown, all that could explain it is looked at on every episode.
         problem.pace.told("looking at more effects on every episode")
@@ -255,9 +255,11 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         first = problem.sofar.first = sharpened(problem, narrowed(problem, nominal, first))
     best, rough = first.fits[0], as_simulated(problem, first)
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
-    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough, doubt)
-    if doubt and doubt.stands:
-        return Attribution(first, chosen, (chosen,), world.score, remains, force=doubt.stands)
+    grown, force = forward(problem, several or best, first.fits, () if is_far else rough, doubt)
+    if force:
+        return _ended(first, grown, force)
+    chosen, world, remains = grown
+    doubt = _doubt_beyond(doubt, world, chosen)
     little = not remains and leaves(world, chosen)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
@@ -268,22 +270,24 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         chosen, world, remains = jointly(world, chosen)
     # What makes up for a choice looks like many little things, as the joint fit leaves choices out.
     chosen, world, remains = _simpler(problem, (chosen, world, remains or little), rough)
-    chosen, world, remains = _as_one(world, chosen, remains, first.fits, doubt)
-    if doubt and doubt.stands:
-        return Attribution(first, chosen, (chosen,), world.score, remains, force=doubt.stands)
+    grown, force = _as_one(world, chosen, remains, first.fits, doubt)
+    if force:
+        return _ended(first, grown, force)
+    chosen, world, remains = grown
     chosen, world, remains = completed(world, chosen, remains)
     chosen, world, remains = widened(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough, far=not little)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.
-        grown, world, remains = forward(world, better, first.fits, doubt=doubt)
-        if doubt and doubt.stands:
-            return Attribution(first, grown, (grown,), world.score, remains, force=doubt.stands)
-        if grown.labels != better.labels:
-            grown, others = challenged(problem, world, grown, rough)
+        grown, force = forward(world, better, first.fits, doubt=doubt)
+        if force:
+            return _ended(first, grown, force)
+        chosen, world, remains = grown
+        if chosen.labels != better.labels:
+            chosen, others = challenged(problem, world, chosen, rough)
         # Beside a right one in a wrong one's place, another may be worth nothing more.
-        better, world, remains = simplified(world, grown, remains)
-        others = others if better.labels == grown.labels else []
+        better, world, remains = simplified(world, chosen, remains)
+        others = others if better.labels == chosen.labels else []
     tied = aliases(world, better, others) or tied
     return Attribution(first, better, tuple(tied), world.score, remains and not little, tuple(others))
 
@@ -303,12 +307,27 @@ def _simpler(problem: Problem, grown: Grown, rough: Responses) -> Grown:
     return fewer if better.labels == whole.labels else simplified(world, better, remains)
 
 
-def _as_one(world: Problem, chosen: Fit, remains: bool, alone: Sequence[Fit], doubt: Doubt | None = None) -> Grown:
+def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
+    """Return what was found where a force ends the search."""
+    chosen, world, remains = grown
+    return Attribution(first, chosen, (chosen,), world.score, remains, force=force)
+
+
+def _doubt_beyond(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
+    """Return a doubt that must explain more than what was chosen, in units of the floor of its `world`, too."""
+    return doubt.beyond(world, residuals_at(world, chosen.members)) if doubt and chosen else doubt
+
+
+def _as_one(
+    world: Problem, chosen: Fit, remains: bool, alone: Sequence[Fit], doubt: Doubt | None = None
+) -> tuple[Grown, Mended | None]:
     """Return the set with one effect in place of two or more that stand for it, and with what these left no room for.
+
+    With it comes the force that ends the search, None where none does.
 
     (Softer servos and an inertia of the joints stood for their damping, and a torsional friction was missing.)
     """
     fewer, other, left = by_choice(world, chosen, remains)
     found, other, left = merged(other, fewer, left)
     grows = left and found.labels != chosen.labels
-    return forward(other, found, alone, doubt=doubt) if grows else (found, other, left)
+    return forward(other, found, alone, doubt=doubt) if grows else ((found, other, left), None)

@@ -57,7 +57,6 @@ class Averaged:
     """
 
     problem: Problem
-    seed: int
     kept: dict[tuple[str, int], Array] = field(default_factory=dict)
 
     def losses(self, members: Sequence[Member | None], copies: int, first: int = 0) -> Array:
@@ -86,7 +85,7 @@ class Averaged:
 
     def _played(self, k: int, worlds: Sequence[EffectSet]) -> list[Array]:
         """Return losses and discrepancies `(2, E)` of one replay of each world; below 0, of a null recording's."""
-        p, rng = self.problem, np.random.default_rng([self.seed, abs(k), k < 0])
+        p, rng = self.problem, self.problem.stream("mean over replays", k)
         recs = null_recordings(p.replayer, p.recs, p.begin, p.noise, rng, 1) if k < 0 else p.recs
         begin = perturbed(
             p.replayer, starts(p.replayer.scene, recs, p.begin.moving) if k < 0 else p.begin, p.noise, rng
@@ -99,7 +98,7 @@ class Averaged:
 def faint(problem: Problem, first: Stage) -> tuple[Fit, Averaged] | None:
     """Return the quiet effect that surely gains in the mean over many replays, and these; None where none does."""
     problem.pace.say("looking for what contact hides, in the mean over many replays", MEAN, after=REST.most)
-    many = _of(problem)
+    many = Averaged(problem)
     fits = _compared(many, [(c, u) for c in _quiet(problem, first) for u in _clear(problem, c)])
     return next(((f, many) for f in fits if _surpasses_nulls(many, f)), None)
 
@@ -122,7 +121,7 @@ def placed(problem: Problem, chosen: Fit) -> tuple[Fit | None, Averaged] | None:
     if not single or not _is_scalar(whole):
         return None
     problem.pace.say("asking where it acts, in the mean over many replays", MEAN, after=REST.most)
-    many = _of(problem)
+    many = Averaged(problem)
     places = (c, *(v for v in (whole, *single) if v.label != c.label))
     fits = _compared(many, [(v, at) for v in places for at in (u, *_clear(problem, v))])
     fits = [f for f in fits if _surpasses_nulls(many, f)]
@@ -153,11 +152,6 @@ def _compared(many: Averaged, points: Sequence[Member]) -> list[Fit]:
     best = {c.label: (c, u) for c, u in points[::-1]}
     fits = [_fitted(many, c, u) for c, u in list(best.values())[::-1][:COMPARED]]
     return sorted(fits, key=lambda f: -f.gain)
-
-
-def _of(problem: Problem) -> Averaged:
-    """Return replays of a problem to average over, of a stream of their own."""
-    return Averaged(problem, int(problem.rng.spawn(1)[0].integers(2**31)))
 
 
 def _is_scalar(c: Candidate) -> bool:

@@ -60,7 +60,7 @@ def with_calibration(findings: Findings, diagnosis: Diagnosis, measure: Measure)
         data = diagnosis.report.data
         noted = data.model_copy(update={"notes": (*data.notes, NO_BUDGET)})
         return replace(diagnosis, report=diagnosis.report.model_copy(update={"data": noted}))
-    size = gap(held.size_before, held.size_after, problem.rng.spawn(1)[0], gap_left=True)
+    size = gap(held.size_before, held.size_after, problem.streams.of("gap", held.recs.ids), gap_left=True)
     return _added(problem, diagnosis, fitted, size) if _helps(size, diagnosis) else diagnosis
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, elements_of
-from candata.gap.floor import WORLDS
 from candata.gap.score import Score
 from candata.gap.search import Fit
 from candata.scenes import Scene
@@ -79,15 +78,6 @@ def error_within(values: Array, tasks: Sequence[str]) -> float:
     return float(np.sqrt(sum(len(g) * g.var(ddof=1) for g in groups)) / len(values))
 
 
-def null_level(score: Score, rng: np.random.Generator, quantile: float = NULL_QUANTILE, sets: int = 4000) -> float:
-    """Return the quantile of the mean loss of null sets, in floors.
-
-    It is wider by how far the nulls' own mean is known, from so many worlds, and the sensors' noise.
-    """
-    rng = rng.spawn(1)[0]  # how often a level is asked for changes nothing that is drawn after it
-    count = score.null_loss.shape[1]
-    chosen = rng.integers(len(score.null_loss), size=(sets, count))
-    means = 1 + np.sqrt(1 + 1 / WORLDS) * (score.null_loss[chosen, np.arange(count)].mean(1) - 1)
-    if score.loss_error:
-        means = means * (1 + score.loss_error * rng.standard_normal(sets))
-    return float(np.quantile(means, quantile))
+def null_level(score: Score, quantile: float = NULL_QUANTILE) -> float:
+    """Return the quantile of the mean loss of null sets, in floors."""
+    return float(np.quantile(score.null_means, quantile))

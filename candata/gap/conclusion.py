@@ -72,6 +72,9 @@ class Diagnosis:
         A joint fit that claims no names, for `calibration.yaml`; None where there is none.
     named : tuple of EffectSetting
         The named effects alone, on top of the scene with its given effects.
+    replays : float
+        What was simulated, in replays of all episodes: its cost, the same on any machine. What an earlier diagnosis
+        kept in the cache is not simulated again, so that it depends on the cache, as nothing of the report does.
     """
 
     report: Report
@@ -81,6 +84,7 @@ class Diagnosis:
     stopgap: EffectsFile | None = None
     calibration: EffectsFile | None = None
     named: EffectSet = ()
+    replays: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,21 +100,23 @@ class Findings:
     episodes: int
 
 
-def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
+def concluded(f: Findings) -> Diagnosis:
     """Return the diagnosis drawn from all findings."""
     chosen = f.found.chosen
     is_left = chosen is not None or f.found.remains
-    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=is_left, ids=f.held.recs.ids if chosen else ())
+    ids = f.held.recs.ids
+    rng = f.problem.streams.of("gap", ids)
+    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=is_left, ids=ids if chosen else ())
     word = verdict(f.found, size, f.problem.measured)
-    heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
+    heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, f.problem.stream("where", ()))
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
-    # A stream of its own: what is drawn here changes nothing that comes after.
-    where = with_regimes(where, f.problem, rng.spawn(1)[0])
-    better = _unseated(f, word, size, where, rng.spawn(1)[0])
+    where = with_regimes(where, f.problem)
+    better = _unseated(f, word, size, where)
     word = "unknown_effect" if better else word
     left = where
     if word == "partly_explained":
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
+        rng = f.world.stream("where", f.problem.setting(chosen.members if chosen else ()))
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = typical_size(f.world, f.held, chosen is not None, left[0]) if left else (None, None)
     proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
@@ -118,15 +124,15 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     repaired: EffectSet = ()
     if chosen and word in ("explained", "partly_explained"):
         ends = known(_judged(f), chosen)
-        named = _named(f, chosen, ends, trust(size), rng)
+        named = _named(f, chosen, ends, trust(size))
         repaired = f.problem.setting(chosen.split(ends.value))
-    rest = better or _rest(f, word, repaired, left, rng)
+    rest = better or _rest(f, word, repaired, left)
     report = Report(
         verdict=word,
         effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
         unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
-        ranking=ranked(f.found.first, f.scene, rng),
+        ranking=ranked(f.found.first, f.problem),
         gap=size,
         where=where,
         next_motion=proposed,
@@ -155,9 +161,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     return Diagnosis(report, evidence, simulator(f.scene, repaired), motion, stopgap, named=repaired)
 
 
-def _unseated(
-    f: Findings, word: Verdict, size: Gap, where: Sequence[Symptom], rng: np.random.Generator
-) -> Described | None:
+def _unseated(f: Findings, word: Verdict, size: Gap, where: Sequence[Symptom]) -> Described | None:
     """Return a force that explains clearly more than what would be named, or be left tied; None where none does.
 
     No less is enough where that leaves more than right names do. (For a motor that cogs, two faults of its joint were
@@ -170,24 +174,22 @@ def _unseated(
         return None
     problem, chosen, doubt = _judged(f), f.found.chosen, f.found.doubt
     closed = size.closed or 0.0
-    force = cache(lambda: mended(problem, (), rng) if doubt is None or doubt.may_close(closed) else None)
+    force = cache(lambda: mended(problem, ()) if doubt is None or doubt.may_close(closed) else None)
     found = unseating(force, size, where, nearest)
     if found or chosen is None or is_toss(f.scene):
         return found
     return outdoing(problem, force, size, f.problem.setting(chosen.members), where, nearest)
 
 
-def _rest(
-    f: Findings, word: Verdict, repaired: EffectSet, left: Sequence[Symptom], rng: np.random.Generator
-) -> Described | None:
+def _rest(f: Findings, word: Verdict, repaired: EffectSet, left: Sequence[Symptom]) -> Described | None:
     """Return what remains unexplained as a force; None where nothing remains, or none stands out."""
     if word not in ("unknown_effect", "partly_explained"):
         return None
     fits = f.found.first.fits
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
     if repaired or f.found.doubt is None:
-        return describe(_judged(f) if repaired else f.problem, repaired, left, nearest, rng)
-    found = f.found.doubt.force()
+        return describe(_judged(f) if repaired else f.problem, repaired, left, nearest)
+    found = f.found.doubt.lone.of_all
     return described(found, (), left, nearest) if found else None
 
 
@@ -209,10 +211,10 @@ def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) 
     return float(np.nanquantile(size, 0.68)), world.plan.columns[column][2]
 
 
-def _named(f: Findings, fit: Fit, ends: Known, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
+def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
-    alone = support(f.found.first.fits, f.found.first.base, rng)[0]
-    pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, rng, f.found.rivals), strict=True)
+    alone = support(f.found.first.fits, f.found.first.base, f.problem.stream("support"))[0]
+    pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, f.found.rivals), strict=True)
     out = []
     for (c, u), estimates, (share, backing) in pieces:
         out.append(
@@ -262,13 +264,13 @@ def _is_at_bound(c: Candidate, u: Array) -> bool:
     return not c.choices and bool(np.any(ends))
 
 
-def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[RankedEffect, ...]:
+def ranked(first: Stage, problem: Problem) -> tuple[RankedEffect, ...]:
     """Return every candidate alone with its held-out gain and a 90 % interval, best first; dead ones last."""
-    backing = support(first.fits, first.base, rng)
+    backing = support(first.fits, first.base, problem.stream("support"))
+    picks = resamples(problem.stream("ranking"), len(first.base), 500)
     out = []
     for fit, s in zip(first.fits, backing, strict=True):
         gain = fit.evidence.gain
-        picks = resamples(rng, len(gain), 500)
         low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
         c, u = fit.members[0]
         out.append(
@@ -279,7 +281,7 @@ def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked
                 held_out_gain=round(fit.gain, 4),
                 gain_low=round(float(low), 4),
                 gain_high=round(float(high), 4),
-                parameters=c.setting(u, scene).parameters,
+                parameters=c.setting(u, problem.replayer.scene).parameters,
             )
         )
     reasons = [

@@ -34,15 +34,16 @@ from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
 from candata.gap.reference import changed_since
 from candata.gap.repeats import deviation_of_others, slow_deviation
-from candata.gap.replay import Replayer, replay_all
+from candata.gap.replay import ReplayedSteps, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out
-from candata.gap.signatures import library
+from candata.gap.signatures import library, sharing_note
 from candata.gap.sized import with_sizes
 from candata.gap.starts import start_notes, starts
+from candata.gap.streams import Streams
 from candata.gap.unfinished import unfinished
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, verdict
@@ -76,6 +77,7 @@ def diagnose(
     against: Dataset | None = None,
     budget: float | None = None,
     calibrate: bool = True,
+    shared_signatures: bool = False,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
@@ -92,8 +94,8 @@ def diagnose(
     seed : int
         Seed of folds, null replays and resamples.
     cache : Path, optional
-        Folder in which what effects do is kept for the next diagnosis of the same recordings, or of others of the
-        same commands where their signatures are kept there; nothing is kept by default.
+        Folder in which what effects do is kept for the next diagnosis of the same recordings; nothing is kept by
+        default. The result does not depend on it.
     only : tuple of str
         Effects to search among; all that can act and show by default.
     against : Dataset, optional
@@ -104,6 +106,10 @@ def diagnose(
     calibrate : bool
         Whether a joint fit of all quantities is made where the verdict leaves much unexplained; no verdict depends on
         it.
+    shared_signatures : bool
+        Whether signatures are taken that `candata gap signatures` has put into `cache` for other recordings of the same
+        commands, where there are some. They begin where those recordings did, which the report notes: the ranking of
+        what comes nearest, and ties, may differ from what these recordings alone say.
     progress : callable
         Called with the name of each stage.
     ends : callable
@@ -119,14 +125,14 @@ def diagnose(
         says they are.
     """
     limit = None if budget is None else Budget(budget)
-    sofar, forecast = SoFar(), Forecast(ends)
+    sofar, forecast, replayed_steps = SoFar(), Forecast(ends), ReplayedSteps()
 
     def tell(step: str) -> None:
         sofar.step = step
         progress(step)
 
     def replayer() -> Replayer:
-        made = Replayer(scene, jobs, forecast.count)
+        made = replayed_steps.watched(Replayer(scene, jobs, forecast.count))
         return limit.watched(made) if limit else made
 
     try:
@@ -140,6 +146,7 @@ def diagnose(
             cache,
             only,
             tell,
+            share=None if shared_signatures else False,
             forecast=forecast,
             sofar=sofar,
             against=against,
@@ -147,6 +154,9 @@ def diagnose(
         diagnosis = _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
         diagnosis = unfinished(dataset, scene, sofar, spent.budget)
+    if sofar.recs is not None:
+        episodes, rows = sofar.recs.commands.shape[:2]
+        diagnosis = replace(diagnosis, replays=replayed_steps.steps / (episodes * rows))
     return diagnosis if against is None else _since(diagnosis, title(against))
 
 
@@ -197,7 +207,7 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> D
         found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
         world, held = problem, held_out(problem, None)
     findings = Findings(dataset, scene, problem, found, world, held, len(everything))
-    diagnosis = concluded(findings, problem.rng)
+    diagnosis = concluded(findings)
 
     def measured(fit: Fit) -> HeldOut:
         if len(untouched):
@@ -209,7 +219,7 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> D
 
 def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:
     """Tell whether what was chosen does not pass on held-out episodes."""
-    size = gap(held.size_before, held.size_after, problem.rng.spawn(1)[0], gap_left=True)
+    size = gap(held.size_before, held.size_after, problem.streams.of("gap", held.recs.ids), gap_left=True)
     return verdict(found, size, problem.measured) == "unknown_effect"
 
 
@@ -228,7 +238,7 @@ def posed(
     cache: Path | None,
     only: tuple[str, ...] = (),
     progress: Progress = lambda stage: None,
-    share: bool | None = None,
+    share: bool | None = False,
     forecast: Forecast | None = None,
     sofar: SoFar | None = None,
     against: Dataset | None = None,
@@ -239,7 +249,7 @@ def posed(
     """
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
-    rng, scene = np.random.default_rng(seed), replayer.scene
+    streams, scene = Streams(seed), replayer.scene
     sofar, forecast = sofar or SoFar(), forecast or Forecast()
     progress("reading")
     sofar.recs = read(scene, dataset)
@@ -249,14 +259,14 @@ def posed(
         progress("comparing with the reference")
         sofar.recs = changed_since(replayer, sofar.recs, reference, title(against), seed)
     everything = sofar.recs
-    order = rng.permutation(len(everything))
+    order = streams.of("searched episodes", everything.ids).permutation(len(everything))
     most = TOSSES if is_toss(scene) else SEARCHED
     most = most if len(everything) - most >= UNTOUCHED else len(everything)
     searched, untouched = np.sort(order[:most]), np.sort(order[most:])
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names(everything.channels)) - frozenset(searchable(scene, everything, only))
-    problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
+    problem = _problem(replayer, everything.take(searched), streams, cache, progress, share, forecast)
     problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
     sofar.problem = problem
     return Posed(everything, untouched, problem)
@@ -265,10 +275,10 @@ def posed(
 def _problem(
     replayer: Replayer,
     recs: Recordings,
-    rng: np.random.Generator,
+    streams: Streams,
     cache: Path | None,
     progress: Progress,
-    share: bool | None = None,
+    share: bool | None = False,
     forecast: Forecast | None = None,
 ) -> Problem:
     """Return the search problem."""
@@ -284,11 +294,12 @@ def _problem(
     shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
     kind, noise, notes, loss_error = sensor_noise(replayer.scene.file.noise, recs, readings, replayer.scene.sliding)
     slow, slow_notes = slow_deviation(replayer.scene, recs, raw, shelf.nulls(noise), plan, kind)
-    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes, *slow_notes), slow=slow)
+    notes = (*start_notes(replayer.scene, begin), *notes, *slow_notes, *sharing_note(shelf))
+    recs = replace(recs, notes=(*recs.notes, *notes), slow=slow)
     shelf = replace(shelf, recs=recs) if slow else shelf
-    level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan, loss_error)
-    parts = folds(recs.tasks, rng, recs.independent)
-    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
+    level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan, loss_error, streams.seed)
+    parts = folds(recs.tasks, streams.of("folds", recs.ids), recs.independent)
+    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, streams, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else with_telling(problem)
 
 
@@ -297,7 +308,7 @@ def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Pro
     world = problem.setting(fit.members) if fit else ()
     if problem.recs.slow and not recs.slow:
         recs = replace(recs, slow=deviation_of_others(problem.recs, len(recs)))
-    r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS, problem.noise)
+    r = replayed(problem.replayer, recs, world, problem.streams, FEW_REPLICAS, problem.noise)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
     raw = residual(recs, r.plan, r.before)

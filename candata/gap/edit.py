@@ -20,6 +20,7 @@ from candata.gap.score import Score, score
 from candata.gap.shrink import RESAMPLES, gap
 from candata.gap.starts import Starts, starts
 from candata.gap.starts import joined as joined_starts
+from candata.gap.streams import Streams
 from candata.gap.verdict import EXPLAINED, FEWEST
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -66,7 +67,7 @@ def replayed(
     replayer: Replayer,
     recs: Recordings,
     world: EffectSet,
-    rng: np.random.Generator,
+    streams: Streams,
     replicas: int,
     noise: Noise | None = None,
 ) -> Replayed:
@@ -77,14 +78,14 @@ def replayed(
     No more than `MANY` episodes are simulated at a time: a simulation takes twenty times the memory of its recording.
     """
     blocks = np.array_split(np.arange(len(recs)), -(-len(recs) // MANY))
-    return _joined([_replayed(replayer, recs.take(block), world, rng, replicas, noise) for block in blocks], recs)
+    return _joined([_replayed(replayer, recs.take(block), world, streams, replicas, noise) for block in blocks], recs)
 
 
 def _replayed(
     replayer: Replayer,
     recs: Recordings,
     world: EffectSet,
-    rng: np.random.Generator,
+    streams: Streams,
     replicas: int,
     noise: Noise | None,
 ) -> Replayed:
@@ -94,7 +95,8 @@ def _replayed(
     plan = layout(replayer.scene, recs, begin, before)
     raw = residual(recs, plan, before)
     noise = noise or sensor_noise(replayer.scene.file.noise, recs, before, replayer.scene.sliding).noise
-    level = score(raw, floor(replayer, recs, begin, plan, noise, rng, replicas, world), plan)
+    rng = streams.of("floor", recs.ids, world)
+    level = score(raw, floor(replayer, recs, begin, plan, noise, rng, replicas, world), plan, seed=streams.seed)
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     return Replayed(recs, begin, plan, level, before, after, sizes[0], sizes[1])
 
@@ -167,11 +169,11 @@ def edit_test(
     progress("reading the edited world")
     replayer = Replayer(scene, jobs)
     recs, _ = with_effort_unit(replayer, readable(dataset, scene))
-    rng = np.random.default_rng(seed)
+    streams = Streams(seed)
     progress("replaying the edited world")
     replicas = FEW_REPLICAS if len(recs) > MANY else REPLICAS
-    found = replayed(replayer, recs, tuple(effects), rng, replicas)
-    return _judged(found, f"{dataset.name}@{dataset.digest[:12]}", scene.name, reference, rng)
+    found = replayed(replayer, recs, tuple(effects), streams, replicas)
+    return _judged(found, f"{dataset.name}@{dataset.digest[:12]}", scene.name, reference, streams)
 
 
 def readable(dataset: Dataset, scene: Scene) -> Recordings:
@@ -192,11 +194,12 @@ def readable(dataset: Dataset, scene: Scene) -> Recordings:
     return read(scene, dataset)
 
 
-def _judged(found: Replayed, dataset: str, scene: str, reference: float, rng: np.random.Generator) -> EditTest:
+def _judged(found: Replayed, dataset: str, scene: str, reference: float, streams: Streams) -> EditTest:
     """Return the numbers of an edit test and whether the shrinkage is kept."""
-    level = _luck(found.score, rng)
+    ids = found.recs.ids
+    level = _luck(found.score, streams.of("luck", ids))
     before, after = found.size_before, found.size_after
-    size = gap(before, after, rng, gap_left=bool(before.mean() > level))
+    size = gap(before, after, streams.of("gap", ids), gap_left=bool(before.mean() > level))
     if size.closed is None:
         kept = False if after.mean() > max(level, before.mean()) else None
     else:

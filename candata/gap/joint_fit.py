@@ -118,7 +118,7 @@ def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, repl
     telling = few(problem.recs.tasks, problem.score.loss(problem.nominal))
     brief = replace(everything, problem=taken(problem, telling))
     try:
-        at, z = min(_first_fits(brief, named, problem.rng.spawn(1)[0]), key=lambda pair: mean_size(pair[1]))
+        at, z = min(_first_fits(brief, named), key=lambda pair: mean_size(pair[1]))
         allowance.reserved = LAST * replays
         at, _ = _descended(brief, at, z, SHARP, STEPS)
         allowance.reserved = 0.0
@@ -136,11 +136,11 @@ def _first_numbers(kinds: Sequence[Candidate], most: int) -> tuple[Candidate, ..
     return tuple(kept)
 
 
-def _first_fits(brief: Quantities, named: Members, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+def _first_fits(brief: Quantities, named: Members) -> list[tuple[Array, Compact]]:
     """Return where fits from several places end, each with an equal share of the replays that are not reserved."""
     allowance = brief.allowance
     count = int(BEGINNING * allowance.replays * brief.whole / len(brief.problem.recs))
-    begins = _begins(brief, named, min(PLACES, count), rng)
+    begins = _begins(brief, named, min(PLACES, count))
     reserved, ends = allowance.reserved, []
     for i, (u, z) in enumerate(begins):
         later = len(begins) - i - 1
@@ -149,11 +149,12 @@ def _first_fits(brief: Quantities, named: Members, rng: np.random.Generator) -> 
     return ends
 
 
-def _begins(brief: Quantities, named: Members, count: int, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+def _begins(brief: Quantities, named: Members, count: int) -> list[tuple[Array, Compact]]:
     """Return the places from which to fit and their residuals: what was named, and the best of a Latin hypercube."""
     neutral = brief.neutral / brief.size
     at = {c.label: u for c, u in named}
     known = np.concatenate([at.get(c.label, c.neutral) for c in brief.kinds]) / brief.size
+    rng = brief.problem.stream("places of a joint fit", [c.label for c in brief.kinds])
     cube = qmc.LatinHypercube(len(neutral), rng=rng).random(count)
     low, high = np.maximum(neutral - REACH, brief.low), np.minimum(neutral + REACH, brief.high)
     places = [known, *(low + cube * (high - low))]

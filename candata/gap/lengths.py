@@ -14,7 +14,7 @@ from candata.gap.search import Problem
 def with_lengths(problem: Problem) -> Problem:
     """Return the problem with what free fall and rest say of the tracker's lengths, before anything is fitted."""
     scene, recs = problem.replayer.scene, problem.recs
-    found = length_scale(scene, recs, problem.begin, problem.rng)
+    found = length_scale(scene, recs, problem.begin, problem.streams)
     if found.scale is None:
         return replace(problem, ruled_out=ruled_out(found))
     c, s = candidate("pose_scale", scene), found.scale

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import cache, partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,52 +51,81 @@ class Mended(NamedTuple):
     best: Stopgap
 
 
-class Doubt:
-    """Whether one force explains clearly more than what is named so far: then the cause is no sum of names.
+@dataclass(frozen=True)
+class LoneForce:
+    """The force that mends most of the nominal world, each played once, when it is first asked for.
 
-    It is played in the nominal world when first asked for, once, on few episodes, and on more only if it closes much of
-    these; `stands` is that force once it does explain more than all that it was asked about. `force` gives what mends
-    most of all episodes, found when first asked for.
+    Attributes
+    ----------
+    problem : Problem
     """
 
-    def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
-        self._score, self._named = problem.score, 0.0
-        few = cache(lambda: brief(problem)[0])
-        self._few = cache(lambda: _tried(few(), rng))
-        self.force = cache(lambda: self._few() if few() is problem else _tried(problem, rng))
-        self.stands: Mended | None = None
+    problem: Problem
 
-    def of(self, problem: Problem, here: Compact) -> bool:
-        """Tell whether a force closes nearly all of the gap, and clearly more than what leaves residuals `here (E, K)`.
+    @cached_property
+    def of_few(self) -> Mended | None:
+        """That of a few episodes."""
+        return self._played(brief(self.problem)[0])
 
-        A correction of what fingertips read is none: several faults of theirs add up to one.
+    @cached_property
+    def of_all(self) -> Mended | None:
+        """That of all episodes."""
+        few = brief(self.problem)[0]
+        return self.of_few if few is self.problem else self._played(self.problem)
+
+    def _played(self, problem: Problem) -> Mended | None:
+        """Return the force that mends most of some episodes."""
+        problem.pace.say("trying one force in place of more effects", FORCE)
+        return mended(problem, ())
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Whether one force explains clearly more than what is named: then the cause is no sum of names.
+
+    The answer depends on what is asked, not on what was asked before.
+
+    Attributes
+    ----------
+    lone : LoneForce
+        Played on few episodes first, and on more only if it closes much of these.
+    named : float
+        Share of the gap that sets which were named before close: a force must close more than these, too.
+    """
+
+    lone: LoneForce
+    named: float = 0.0
+
+    def of(self, problem: Problem, here: Compact) -> Mended | None:
+        """Return the force that closes nearly all of the gap, and clearly more than what leaves residuals `(E, K)`.
+
+        None where it does not. A correction of what fingertips read is no force: several faults of theirs add up to
+        one.
         """
-        self._named = max(self._named, self._closed(problem, here))
-        if self._named + CLEARLY >= 1 or not self.may_close(NEARLY) or not _acts(self._few()):
-            return False
-        force = self.force()
+        named = self.beyond(problem, here).named
+        if named + CLEARLY >= 1 or not self.may_close(NEARLY) or not _acts(self.lone.of_few):
+            return None
+        force = self.lone.of_all
         if force is None or not _acts(force) or force.best.closed < NEARLY:
-            return False
-        self.stands = force if force.best.closed > self._named + CLEARLY else None
-        return self.stands is not None
+            return None
+        return force if force.best.closed > named + CLEARLY else None
+
+    def beyond(self, problem: Problem, here: Compact) -> Doubt:
+        """Return the same doubt, once what leaves residuals `here (E, K)` is named too."""
+        return replace(self, named=max(self.named, self._closed(problem, here)))
 
     def may_close(self, share: float) -> bool:
         """Tell whether what mends most of a few episodes closes a share of the gap there, or nearly."""
-        few = self._few()
+        few = self.lone.of_few
         return few is not None and few.best.closed >= share - UNSURE
 
     def _closed(self, problem: Problem, here: Compact) -> float:
         """Return the share of the gap that a world closes, in the floors that the force is judged by."""
-        units = problem.score.sigma / np.where(self._score.mask, self._score.sigma, 1)
+        score = self.lone.problem.score
+        units = problem.score.sigma / np.where(score.mask, score.sigma, 1)
         own = [(z * units).astype(np.float32) for z in (problem.nominal, here)]
-        before, after = (float(self._score.size(z).mean()) - 1 for z in own)
+        before, after = (float(score.size(z).mean()) - 1 for z in own)
         return float(np.clip(1 - after / max(before, 1e-6), -1, 1))
-
-
-def _tried(problem: Problem, rng: np.random.Generator) -> Mended | None:
-    """Return the force that mends most of the nominal world."""
-    problem.pace.say("trying one force in place of more effects", FORCE)
-    return mended(problem, (), rng)
 
 
 def _acts(force: Mended | None) -> bool:
@@ -104,7 +133,7 @@ def _acts(force: Mended | None) -> bool:
     return force is not None and force.best.suspects[0].place != "fingertip"
 
 
-def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mended | None:
+def mended(problem: Problem, world: EffectSet) -> Mended | None:
     """Return the force that mends most of what a world leaves; None where none stands out.
 
     Parameters
@@ -113,11 +142,9 @@ def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mend
         Episodes, folds, and the score in units of the world's floor.
     world : tuple of EffectSetting
         What the simulator holds already: nothing, or the effects that are named.
-    rng : numpy.random.Generator
-        Noise of the null replays.
     """
     some, index = _some(problem, LEFT_OVER if world else LOOKED_AT)
-    found, drawn = _standing_out(some, world, rng)
+    found, drawn = _standing_out(some, world)
     if not found:
         return None
     play = partial(stopgap, some, world, replay_all(some.replayer, some.recs, some.begin, [world])[0])
@@ -166,13 +193,14 @@ def _some(problem: Problem, most: int = LOOKED_AT) -> tuple[Problem, Index]:
     return replace(taken(problem, index), parts=parts), index
 
 
-def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> tuple[list[Suspect], list[Suspect]]:
+def _standing_out(problem: Problem, world: EffectSet) -> tuple[list[Suspect], list[Suspect]]:
     """Return the suspects whose residual force is described better than any in null replays, and the support's pulls.
 
     The suspects come best first. Of the pulls no residual force tells: they are played, whatever stands out.
     """
     scene, count = problem.replayer.scene, len(problem.recs)
     real = residual_force(problem.replayer, problem.recs, problem.begin, world)
+    rng = problem.stream("nulls beside a force", world)
     nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
     null = residual_force(problem.replayer, nulls, starts(scene, nulls, np.tile(problem.begin.moving, REPLICAS)), world)
     found = suspects(scene, real, null, problem.parts)

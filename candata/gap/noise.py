@@ -142,7 +142,7 @@ def _of_quantities(
     """Return the noise of what `QUANTITIES` names, as `sensor_noise` does."""
     slides = _turning(recs) if slides is None else slides
     if declared is not None and recs.noise_factor != 1:
-        declared = _scaled(declared, recs.noise_factor)
+        declared = scaled_noise(declared, recs.noise_factor)
     told, least = _sizes(declared or Noise(), slides), _smallest(slides)
     step, joint_steps = force_step(recs.readings), joint_step(recs.readings)
     even = replace(recs, readings=dithered(recs.readings, step, joint_steps))
@@ -189,15 +189,16 @@ def _of_quantities(
     return SensorNoise(kind, _noise(sizes, step, joint_steps, slides), notes, error)
 
 
-def _scaled(noise: Noise, factor: float) -> Noise:
-    """Return noise as many times as large; steps of rounding stay."""
-    joints = np.asarray(noise.joint_position) * factor
+def scaled_noise(noise: Noise, factor: float) -> Noise:
+    """Return noise as many times as large; steps of rounding, and what a tracker does, stay."""
     position, rotation = noise.object_pose
-    changed = {
+    changed: dict[str, object] = {
         "object_pose": (position * factor, rotation * factor),
-        "joint_position": tuple(joints.tolist()) if joints.ndim else float(joints),
         "fingertip_force": noise.fingertip_force * factor,
     }
+    for name in ("joint_position", "joint_velocity", "joint_effort"):
+        sizes = np.asarray(getattr(noise, name)) * factor
+        changed[name] = tuple(sizes.tolist()) if sizes.ndim else float(sizes)
     return noise.model_copy(update=changed)
 
 

@@ -45,7 +45,7 @@ def with_names_tested(problem: Problem, found: Attribution) -> Attribution:
     fit = found.chosen
     if fit is None or found.force is not None:
         return found
-    world = replace(problem, score=found.score, rng=problem.rng.spawn(1)[0])
+    world = replace(problem, score=found.score)
     failing = _first_failing(world, found, fit)
     if failing is None:
         return found
@@ -124,7 +124,7 @@ def leaves_gap(problem: Problem, members: Members, errors: float = 0.0) -> bool:
     pieces, score = problem.recs.independent, problem.score
     loss = by_piece(score.loss(problem.residuals([problem.setting(members)])[0]), pieces)
     nulls = by_piece(score.null_loss, pieces)
-    level = null_level(replace(score, null_loss=nulls), problem.rng)
+    level = null_level(score if nulls is score.null_loss else replace(score, null_loss=nulls))
     return bool(loss.mean() - errors * piece_error(loss, nulls) > level)
 
 
@@ -132,7 +132,8 @@ def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int
     """Return `(copies, E)` what a set gains over the incumbent on recordings of the incumbent's world [floors]."""
     worlds = [problem.setting(incumbent), problem.setting(grown)]
     replayer, scene = problem.replayer, problem.replayer.scene
-    nulls = null_recordings(replayer, problem.recs, problem.begin, problem.noise, problem.rng, copies, worlds[0])
+    rng = problem.stream("test of a name", worlds[0])
+    nulls = null_recordings(replayer, problem.recs, problem.begin, problem.noise, rng, copies, worlds[0])
     played = replay_all(replayer, nulls, starts(scene, nulls, np.tile(problem.begin.moving, copies)), worlds)
     plan = replace(problem.plan, phase=np.concatenate([problem.plan.phase] * copies))
     each = [np.split(residual(nulls, plan, readings), copies) for readings in played]

@@ -37,17 +37,20 @@ def rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
 
 def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Problem:
     """Return the problem in units of the floor of a set's world, of so many null replays of each episode."""
+    world = problem.setting(members)
     spread = floor(
         problem.replayer,
         problem.recs,
         problem.begin,
         problem.plan,
         problem.noise,
-        problem.rng,
+        problem.stream("floor", world),
         nulls,
-        problem.setting(members),
+        world,
     )
-    return replace(problem, score=score(problem.raw, spread, problem.plan, problem.score.loss_error))
+    return replace(
+        problem, score=score(problem.raw, spread, problem.plan, problem.score.loss_error, problem.streams.seed)
+    )
 
 
 def refitted(problem: Problem, first: Fit, world: Problem, best: Fit) -> Fit | None:

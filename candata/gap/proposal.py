@@ -62,8 +62,7 @@ def _choice(problem: Problem, found: Attribution) -> Choice | None:
     rivals = rivals_of(problem, [problem.setting(t.members) for t in found.tied])
     length = float(np.median(problem.recs.lengths)) / scene.file.rate_hz
     try:
-        # A stream of its own: what is drawn here changes no other number of the report.
-        return separating_motion(rivals, length, problem.rng.spawn(1)[0])
+        return separating_motion(rivals, length, problem.stream("next motion", *rivals.sets))
     except DataError:
         # A candidate at its bound may leave the finite numbers in a motion that was never recorded.
         return None

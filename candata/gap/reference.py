@@ -22,6 +22,7 @@ from candata.gap.repeats import duration_s, has_repeats, mean_of_runs, measured_
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual, row_residual
 from candata.gap.starts import starts
+from candata.gap.streams import Streams
 from candata.scenes.traits import is_toss
 
 Array = NDArray[np.float64]
@@ -179,7 +180,7 @@ def _replayed(replayer: Replayer, recs: Recordings, seed: int) -> _Replayed:
     noise = sensor_noise(scene.file.noise, recs, readings, scene.sliding)
     repeated, slow = has_repeats(recs), None
     if repeated:
-        null = null_residuals(replayer, recs, begin, plan, noise.noise, np.random.default_rng(seed))
+        null = null_residuals(replayer, recs, begin, plan, noise.noise, Streams(seed).of("nulls of repeats", recs.ids))
         slow = measured_deviation(recs, raw, null, plan, scene.file.rate_hz)
     return _Replayed(recs, plan, readings, row_residual(recs, plan, readings), raw, repeated, slow)
 

@@ -183,7 +183,7 @@ def splits(scene: Scene, regime: Regimes, channel: str, element: str | None) -> 
     return out | (dict(zip(load, ((touched, strata), (~touched, strata)), strict=True)) if touched.any() else {})
 
 
-def with_regimes(found: Sequence[Symptom], problem: Problem, rng: np.random.Generator) -> tuple[Symptom, ...]:
+def with_regimes(found: Sequence[Symptom], problem: Problem) -> tuple[Symptom, ...]:
     """Return the symptoms, each with the regime in which its element's excess lies; None where it lies in all alike.
 
     For each element and regime: the loss of the recording less that of one null replay, within less that of the other
@@ -195,14 +195,13 @@ def with_regimes(found: Sequence[Symptom], problem: Problem, rng: np.random.Gene
     found : sequence of Symptom
         Those that are not sure keep no regime.
     problem : Problem
-        What was recorded, how it is judged, and what the nominal replay left.
-    rng : numpy.random.Generator
-        Draws the null replays and the signs.
+        What was recorded, how it is judged, and what the nominal replay left; its streams draw null replays and signs.
     """
     sure = list(dict.fromkeys((s.channel, s.element) for s in found if s.p <= LEVEL))
     scene, plan, level = problem.replayer.scene, problem.plan, problem.score
     known = regimes(scene, problem.recs, plan)
     episodes = np.arange(plan.phase.shape[0])
+    rng = problem.stream("regimes")
     null = level.null[rng.integers(len(level.null), size=len(episodes)), episodes]
     shape = (*plan.phase.shape, len(plan.columns))
     excess = np.where(level.mask, rho(problem.nominal).astype(float) - rho(null), np.nan).reshape(shape)

@@ -42,6 +42,30 @@ class Replayer:
     count: Callable[[int], None] = lambda steps: None
 
 
+@dataclass
+class ReplayedSteps:
+    """How much a diagnosis has simulated: control steps, of one episode in one world each.
+
+    What was kept from earlier is not simulated again and not counted. Not counted either are the short runs in which
+    starts are estimated, and the recordings of motions that are proposed.
+
+    Attributes
+    ----------
+    steps : int
+    """
+
+    steps: int = 0
+
+    def watched(self, replayer: Replayer) -> Replayer:
+        """Return a replayer whose simulations are counted here."""
+
+        def count(physics_steps: int) -> None:
+            self.steps += physics_steps // replayer.scene.substeps
+            replayer.count(physics_steps)
+
+        return replace(replayer, count=count)
+
+
 def replay(
     replayer: Replayer,
     recs: Recordings,

@@ -17,6 +17,7 @@ from candata.effects import effects_with
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import REST_SPEED_MPS
 from candata.gap.starts import STILL_ROWS, Starts
+from candata.gap.streams import Streams
 from candata.rotation import difference, rotate
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
@@ -85,7 +86,7 @@ class LengthScale:
     scale: Scale | None
 
 
-def length_scale(scene: Scene, recs: Recordings, begin: Starts, rng: np.random.Generator) -> LengthScale:
+def length_scale(scene: Scene, recs: Recordings, begin: Starts, streams: Streams) -> LengthScale:
     """Return what free fall and rest height say about the tracker's lengths.
 
     Parameters
@@ -94,10 +95,11 @@ def length_scale(scene: Scene, recs: Recordings, begin: Starts, rng: np.random.G
         A toss; in other scenes nothing is seen.
     recs, begin
         Recorded tosses and where their replays start.
-    rng : numpy.random.Generator
-        Resamples of the tosses.
+    streams : Streams
+        Draw resamples of the tosses.
     """
-    flight, rest = scale_from_flight(scene, recs, begin, rng), scale_from_rest(scene, recs, rng)
+    flight = scale_from_flight(scene, recs, begin, streams.of("free fall", recs.ids))
+    rest = scale_from_rest(scene, recs, streams.of("height at rest", recs.ids))
     causes = _causes(flight, rest)
     return LengthScale(flight, rest, causes, _weighed(flight, rest) if causes == ("pose_scale",) else None)
 

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import norm
 
+from candata.gap.streams import Streams
+
 Array = NDArray[np.float64]
 Readings = dict[str, Array]
 #: Significant digits to which an encoder's step is known. Chosen: 4096 steps a turn are 1.53 mrad.
@@ -27,15 +29,12 @@ def dithered(readings: Readings, step: float, joint_steps: Array | None = None) 
     A window in which no rounded reading changes would show no noise at all. Dither of one step's width adds the
     variance of a uniform error, step^2 / 12 (Widrow & Kollar 2008).
     """
-    rng, out = np.random.default_rng(0), dict(readings)
-    if step > 0:
-        out["fingertip_force"] = readings["fingertip_force"] + rng.uniform(
-            -step / 2, step / 2, readings["fingertip_force"].shape
-        )
-    if joint_steps is not None and joint_steps.any():
-        out["joint_position"] = readings["joint_position"] + joint_steps * rng.uniform(
-            -0.5, 0.5, readings["joint_position"].shape
-        )
+    steps = {"fingertip_force": step, "joint_position": 0.0 if joint_steps is None else joint_steps}
+    out = dict(readings)
+    for channel, size in steps.items():
+        if np.any(size):
+            width = Streams().of("dither", channel).uniform(-0.5, 0.5, readings[channel].shape)
+            out[channel] = readings[channel] + size * width
     return out
 
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.floor import Floor
+from candata.gap.floor import WORLDS, Floor
 from candata.gap.residuals import Layout
 from candata.gap.robust import rho
+from candata.gap.streams import Streams
 
 Array = NDArray[np.float64]
 Compact = NDArray[np.float32]
+#: Null sets from whose mean losses a level is taken. Chosen: eight of them lie above the 99.8 % quantile.
+NULL_SETS = 4000
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class Score:
         Mean size of a null over that of the others.
     loss_error : float
         Relative standard error of a mean loss because the sensors' noise is estimated.
+    seed : int
+        Seed of the null sets.
     """
 
     sigma: Compact
@@ -47,6 +53,18 @@ class Score:
     group: NDArray[np.int64]
     typical: float = 1.0
     loss_error: float = 0.0
+    seed: int = 0
+
+    @cached_property
+    def null_means(self) -> Array:
+        """Mean losses `(NULL_SETS,)` of sets of one null replay of each episode, in floors.
+
+        They are wider by how far the nulls' own mean is known, from so many worlds, and the sensors' noise.
+        """
+        rng, count = Streams(self.seed).of("null sets"), self.null_loss.shape[1]
+        chosen = rng.integers(len(self.null_loss), size=(NULL_SETS, count))
+        means = 1 + np.sqrt(1 + 1 / WORLDS) * (self.null_loss[chosen, np.arange(count)].mean(1) - 1)
+        return means * (1 + self.loss_error * rng.standard_normal(NULL_SETS)) if self.loss_error else means
 
     def normal(self, residual: Array | Compact) -> Compact:
         """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
@@ -103,10 +121,10 @@ class Score:
         )
 
 
-def score(residual: Array, floor: Floor, plan: Layout, loss_error: float = 0.0) -> Score:
+def score(residual: Array, floor: Floor, plan: Layout, loss_error: float = 0.0, seed: int = 0) -> Score:
     """Return the score for recordings whose residual under the nominal replay is `residual (E, B, D)`.
 
-    `loss_error` is that of the noise by which the floor was made.
+    `loss_error` is that of the noise by which the floor was made; `seed` draws its null sets.
 
     Only what both the recording and the nulls hold is compared. One is what a recording of the nominal scene is
     expected to be: nulls lie nearer their own spread and mean than another replay does, the nearer the fewer they are.
@@ -131,7 +149,12 @@ def score(residual: Array, floor: Floor, plan: Layout, loss_error: float = 0.0) 
     kept = 1 - 1 / max(len(floor.without), 1)
     more = [1 + kept * (float(np.nanmean(x)) - 1) for x in (losses, sizes)]
     return replace(
-        first, floor=level * more[0], null_loss=losses / losses.mean(), typical=more[1], loss_error=loss_error
+        first,
+        floor=level * more[0],
+        null_loss=losses / losses.mean(),
+        typical=more[1],
+        loss_error=loss_error,
+        seed=seed,
     )
 
 

@@ -20,6 +20,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
 from candata.gap.signatures import Library
 from candata.gap.starts import Starts, joined
+from candata.gap.streams import Content, Streams
 from candata.scenes.traits import is_toss
 from candata.schema.scene import Noise
 
@@ -82,7 +83,7 @@ class Problem:
     parts: list[Index]
     noise: Noise
     floor_kind: NoiseKind
-    rng: np.random.Generator
+    streams: Streams
     library: Library
     before: dict[str, Array]
     raw: Array
@@ -145,6 +146,10 @@ class Problem:
         """Return normalised residuals `(E, K)` of a set without each of its members, or of some; the others stay."""
         left_out = members if some is None else some
         return self.residuals([self.setting([m for m in members if m is not left]) for left in left_out])
+
+    def stream(self, name: str, *content: Content) -> np.random.Generator:
+        """Return the random stream of a question about these episodes, by its name and what it is asked of."""
+        return self.streams.of(name, self.recs.ids, *content)
 
     def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
         """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene.

@@ -12,7 +12,7 @@ from candata.gap.added import ADDED, ALIKE, here_of, lightly, lightly_fitted, pi
 from candata.gap.candidates import Candidate
 from candata.gap.compare import RIVALS, UNSURE, is_near, is_tied, standard_error
 from candata.gap.elsewhere import moved
-from candata.gap.mending import Doubt
+from candata.gap.mending import Doubt, Mended
 from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged, refitted, rescored
 from candata.gap.pace import ANOTHER, BESIDE, JOINT, REST
@@ -67,8 +67,8 @@ HOPELESS = 4.0
 
 def forward(
     problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses = (), doubt: Doubt | None = None
-) -> Grown:
-    """Return the best set that grows from `best`, the problem in units of its floor, and whether a gap remains.
+) -> tuple[Grown, Mended | None]:
+    """Return the best set that grows from `best`, and the force that ends its growth, None where none does.
 
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. First tried
     is a set to whose signatures, `rough` on a few episodes, the recording adds up. Where a gap is left, what was taken
@@ -85,20 +85,21 @@ def forward(
         if sharper is not None:
             best, remains = sharper, leaves(world, sharper)
         if not remains or not (has_room(best) or left_by(best) > FAINT):
-            return best, world, remains
+            return (best, world, remains), None
         other, rough = together(problem, first, rough) if has_room(best) else None, ()
         if other is not None:
             best = other
             continue
         seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
         if not seems and world.plays_all:
-            return best, world, remains
-        found = f"{', '.join(best.labels)} found, looking for what is beside"
-        world.pace.say(found, ANOTHER, after=max(further(world, len(best.members)) - ANOTHER.most, REST.most))
+            return (best, world, remains), None
+        words = f"{', '.join(best.labels)} found, looking for what is beside"
+        world.pace.say(words, ANOTHER, after=max(further(world, len(best.members)) - ANOTHER.most, REST.most))
         full = is_full(best.members, problem.measured)
-        grown = None if full else _next(world, best, seems, doubt)
-        if doubt and (doubt.stands or (full and is_doubted(world, best, doubt))):
-            return best, world, remains
+        found = standing(world, best, doubt) if full else _next(world, best, seems, doubt)
+        if isinstance(found, Mended):
+            return (best, world, remains), found
+        grown = found
         tasks = world.recs.tasks
         sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown, tasks) else None
         if grown is not None and sharper is not None and not is_next(sharper, grown, tasks):
@@ -108,7 +109,7 @@ def forward(
             if joins_first(world, best):
                 fitted = jointly(world, best)
                 if fitted[0] is not best or not fitted[-1]:
-                    return fitted
+                    return fitted, None
             if left_by(best) > RETRIED * best.gain:
                 world.pace.told("trying other effects in place of what was found early")
                 # But of tosses, each member of what is found is challenged in the end, for less.
@@ -118,7 +119,7 @@ def forward(
             else:
                 grown = moved(world, best)
         if grown is None:
-            return best, world, remains
+            return (best, world, remains), None
         problem, best = world, grown
 
 
@@ -149,20 +150,20 @@ def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> t
     return left, (chosen, problem, remains) if best is chosen else judged(problem, best)
 
 
-def is_doubted(problem: Problem, best: Fit, doubt: Doubt | None) -> bool:
-    """Tell whether a doubt stands against a set that leaves something to speak of."""
-    return doubt is not None and left_by(best) > LEFT and doubt.of(problem, here_of(problem, best))
+def standing(problem: Problem, best: Fit, doubt: Doubt | None) -> Mended | None:
+    """Return the force that stands against a set that leaves something to speak of; None where none does."""
+    return doubt.of(problem, here_of(problem, best)) if doubt and left_by(best) > LEFT else None
 
 
-def _next(problem: Problem, best: Fit, seems: bool = True, doubt: Doubt | None = None) -> Fit | None:
+def _next(problem: Problem, best: Fit, seems: bool = True, doubt: Doubt | None = None) -> Fit | Mended | None:
     """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes.
 
     `seems` tells whether signatures are worth a look: of a large gap of which little is left, what promises nothing by
-    them is simulated at once. None, too, where they promise too little and a doubt stands.
+    them is simulated at once. The force of a doubt that stands, where they promise too little.
     """
-    seeing = _beside(problem, best.members, here_of(problem, best), seems, partial(is_doubted, problem, best, doubt))
-    if seeing is None:
-        return None
+    seeing = _beside(problem, best.members, here_of(problem, best), seems, partial(standing, problem, best, doubt))
+    if isinstance(seeing, Mended):
+        return seeing
     stage, seen = seeing
     front = _front(best, stage)
     if is_toss(problem.replayer.scene):
@@ -252,19 +253,19 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
 
 
 def _beside(
-    problem: Problem, members: Members, here: Compact, seems: bool, doubted: Callable[[], bool] = lambda: False
-) -> tuple[Stage, Problem] | None:
+    problem: Problem, members: Members, here: Compact, seems: bool, force: Callable[[], Mended | None] = lambda: None
+) -> tuple[Stage, Problem] | Mended:
     """Return the evidence of every candidate beside effects whose residuals are `here (E, K)`, and how it was seen.
 
-    They are simulated there where signatures promise little, unless that is `doubted`: then None; and count if they
-    promise more. (Beside a torque limit the object stays down, and a tracker that lags by 43 ms promised nothing of the
-    0.18 floors left, all its own.)
+    They are simulated there where signatures promise little, unless a `force` stands against the effects; and count if
+    they promise more. (Beside a torque limit the object stays down, and a tracker that lags by 43 ms promised nothing
+    of the 0.18 floors left, all its own.)
     """
     stage = look(problem, here, members) if seems else None
     if stage is not None and (problem.plays_all or _is_promising(stage)):
         return stage, problem
-    if doubted():
-        return None
+    if stands := force():
+        return stands
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     simulated = looked_into(problem, here)
     other = look(simulated, here, members, stage)
@@ -286,7 +287,9 @@ def _further(problem: Problem, best: Fit, grown: Fit | None) -> Fit | None:
     if grown is None or not worth_adding(extra_of(best, grown), best.gain) or is_full(grown.members, problem.measured):
         return None
     found = _next(problem, grown)
-    return found if found is not None and are_worth_two(best, found) else None
+    if found is None or isinstance(found, Mended):
+        return None
+    return found if are_worth_two(best, found) else None
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
@@ -324,7 +327,9 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
-    return grown if grown is not None and is_next(best, grown, problem.recs.tasks) else None
+    if grown is None or isinstance(grown, Mended):
+        return None
+    return grown if is_next(best, grown, problem.recs.tasks) else None
 
 
 def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:

@@ -157,7 +157,8 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
         low, high = _curved(problem, fit, own)
         return low - slack, high + slack
     refit = fit.response.fitter(problem.score)
-    found = [refit(picks) for picks in resamples(problem.rng, len(problem.recs), REFITS)]
+    picked = resamples(problem.stream("refits"), len(problem.recs), REFITS)
+    found = [refit(picks) for picks in picked]
     low, high = np.quantile(np.array(found), ENDS, axis=0)
     grid = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
     wider = 1.0 if isinstance(fit.response, Curve) else LOOSE
@@ -295,9 +296,7 @@ def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Arra
     return np.bincount(winner, minlength=len(losses))[1:] / RESAMPLES
 
 
-def shares(
-    problem: Problem, fit: Fit, rng: np.random.Generator, rivals: Sequence[Fit] = ()
-) -> list[tuple[float, float]]:
+def shares(problem: Problem, fit: Fit, rivals: Sequence[Fit] = ()) -> list[tuple[float, float]]:
     """Return (leave-one-out share, support) of each member of a set.
 
     The share is what the loss rises when the member is left out and nothing refitted, over the whole gain; support
@@ -309,13 +308,14 @@ def shares(
         return [(1.0, float("nan"))]
     own = problem.score.loss(fit.plane.z)
     whole = max(float((problem.score.loss(problem.nominal) - own).mean()), 1e-9)
-    picks = resamples(rng, len(own), RESAMPLES)
+    picks = resamples(problem.stream("shares"), len(own), RESAMPLES)
     out = []
     for label, z in zip(fit.labels, problem.without_each(fit.members), strict=True):
         rise = problem.score.loss(z) - own
         holds = rise[picks].mean(1) > 0
         for rival in rivals:
             if label not in rival.labels:
+                rng = problem.stream("how sharp fits are", label, rival.labels)
                 blunt = BLUNT * abs(float(rise.mean())) * rng.standard_normal(RESAMPLES)
                 holds &= (rival.evidence.loss - fit.evidence.loss)[picks].mean(1) + blunt > 0
         out.append((round(float(rise.mean()) / whole, 3), float(holds.mean())))

@@ -43,7 +43,7 @@ CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
 OWN_CODE = (
     *("deviation", "floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "robust", "shooting"),
-    *("rounding", "signatures", "smoother", "starts"),
+    *("rounding", "signatures", "smoother", "starts", "streams"),
 )
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
@@ -215,7 +215,7 @@ def library(
     raw: Array,
     root: Path | None,
     told: Callable[[str], None] = lambda stage: None,
-    share: bool | None = None,
+    share: bool | None = False,
 ) -> Library:
     """Return the library of a set of recordings.
 
@@ -229,9 +229,9 @@ def library(
         The cache's folder; None keeps nothing.
     told : callable
         Hears how far simulations are.
-    share : bool, optional
-        Whether to take, and make, signatures that recordings of the same commands share; by default where somebody has
-        begun to fill such a library. Without a folder there is none.
+    share : bool or None
+        Whether to take, and make, signatures that recordings of the same commands share; with None they are taken
+        where somebody has begun to fill such a library, none are made. Without a folder there is none.
     """
     flat = replace(plan, phase=np.zeros_like(plan.phase))
     if root is None:
@@ -247,6 +247,13 @@ def library(
     made = Library(replayer, recs, shared, flat, raw, folder, False, told=told, own=own)
     made._nominal()  # which all signatures need
     return made
+
+
+def sharing_note(shelf: Library) -> tuple[str, ...]:
+    """Return the note that signatures are shared, and with which start, by the name of its folder; none of own ones."""
+    if shelf.seen or shelf.folder is None:
+        return ()
+    return (f"what effects do is read off signatures that recordings of these commands share ({shelf.folder.name})",)
 
 
 def is_read_at_start(some: EffectSet) -> bool:
@@ -314,13 +321,14 @@ def _content(recs: Recordings, begin: Starts) -> str:
 
 
 def _known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts] | None:
-    """Return the folder of signatures from (nearly) the same start, and that start; None where there is none."""
-    for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
-        found = _start_in(known)
-        if found is not None and _is_same(scene, found, begin):
-            kept.used(known.parent)
-            return known.parent, found
-    return None
+    """Return the folder of signatures from the nearest start that counts as the same, and it; None where none does."""
+    files = sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ()
+    read = [(file.parent, found) for file in files if (found := _start_in(file)) is not None]
+    same = [(own, found) for own, found in read if _is_same(scene, found, begin)]
+    nearest = min(same, key=lambda pair: float(np.abs(pair[1].qpos - begin.qpos).max()), default=None)
+    if nearest is not None:
+        kept.used(nearest[0])
+    return nearest
 
 
 def _new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:

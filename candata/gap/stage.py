@@ -27,6 +27,7 @@ from candata.gap.floor import perturbed
 from candata.gap.folds import null_threshold
 from candata.gap.local import LOCAL, promises
 from candata.gap.refine import PROMISE, joint, polished, refined
+from candata.gap.replay import EffectSet
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import respond
@@ -158,13 +159,14 @@ def look_again(problem: Problem, before: Stage) -> Stage:
 def _judged(problem: Problem, seen: Screened, base: Array, luck: Array, held: Members) -> Stage:
     """Return the evidence of what a screen leaves, refined."""
     responses = [r for _, r in seen.responses]
-    threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
+    rng = problem.stream("null threshold", problem.setting(held), [c.label for c, _ in seen.responses])
+    threshold = null_threshold(responses, problem.score, problem.parts, luck, rng, seen.tried)
     found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
     absent = [f.members[0][0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1])]
     idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
-    reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
+    reachable = null_level(problem.score, 0.1) if declared else 0.0
     return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable, seen.rough)
 
 
@@ -271,7 +273,7 @@ def _may_come_near(problem: Problem, stage: Stage, fit: Fit, best: Fit) -> bool:
     """
     if not isinstance(fit.response, Curve) or fit.members[0][0].choices or fit.gain < PROMISE * best.gain:
         return False
-    if best.evidence.loss.mean() <= null_level(problem.score, problem.rng):
+    if best.evidence.loss.mean() <= null_level(problem.score):
         return False
     least = max(fit.response.least_around(fit.members[0][1], problem.score), 1.0)
     return bool(stage.base.mean() - least > NEAR * best.gain)
@@ -296,21 +298,24 @@ def _settled(problem: Problem, front: list[Fit]) -> list[Fit]:
     near = [f for f in front if is_near(f, front[0])]
     if len(near) < 2:
         return front
-    losses = problem.losses_from([problem.begin, *_starts(problem)], [problem.setting(f.members) for f in near])
+    worlds = [problem.setting(f.members) for f in near]
+    losses = problem.losses_from([problem.begin, *_starts(problem, "starts of rivals", *worlds)], worlds)
     shift = np.median(losses, axis=0) - losses[0]
     pairs = [(f, f.evidence, more) for f, more in zip(near, shift, strict=True)]
     settled = [replace(f, evidence=replace(e, loss=e.loss + more, gain=e.gain - more)) for f, e, more in pairs]
     return sorted((*settled, *(f for f in front if not is_near(f, front[0]))), key=lambda f: -f.gain)
 
 
-def _starts(problem: Problem) -> list[Starts]:
-    """Return other starts that are as possible as the problem's own."""
-    return [perturbed(problem.replayer, problem.begin, problem.noise, problem.rng) for _ in range(STARTS)]
+def _starts(problem: Problem, name: str, *worlds: EffectSet) -> list[Starts]:
+    """Return other starts that are as possible as the problem's own, of the stream of a name and some worlds."""
+    rng = problem.stream(name, *worlds)
+    return [perturbed(problem.replayer, problem.begin, problem.noise, rng) for _ in range(STARTS)]
 
 
 def typical(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
     """Return the typical loss `(E,)` over starts that are equally possible, and the luck `(J, E)` of each."""
-    others = problem.losses_from(_starts(problem), [problem.setting(held)])[:, 0]
+    world = problem.setting(held)
+    others = problem.losses_from(_starts(problem, "starts of a look", world), [world])[:, 0]
     losses = np.concatenate([problem.score.loss(here)[None], others])
     base = np.median(losses, axis=0)
     return base, base - losses

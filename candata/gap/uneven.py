@@ -149,7 +149,7 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
     which it was held when that came. None where the set's world foretells the recording more surely. (Beside a friction
     of 0.6, which should have been 0.5, a shorter time step was taken; with it, friction moved to 0.50.)
     """
-    if len(found.members) < 2 or problem.measured or null_level(score, problem.rng) < CHAOTIC:
+    if len(found.members) < 2 or problem.measured or null_level(score) < CHAOTIC:
         return None
     problem.pace.told("asking whether one of these alone leaves no gap")
     for c, u in found.members:
@@ -171,7 +171,7 @@ def _leaves(world: Problem, point: Member) -> bool:
     of 0.532 a recording of 0.55 left 1.2 floors, where nulls reach 1.5; with a quarter of it at 0.549, 1.5 and 1.3.)
     """
     (z,) = world.residuals([world.setting((point,))])
-    return bool(world.score.loss(z).mean() > null_level(world.score, world.rng))
+    return bool(world.score.loss(z).mean() > null_level(world.score))
 
 
 def _fitted(problem: Problem, world: Problem, tried: Sequence[Found]) -> Fit:

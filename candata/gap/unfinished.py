@@ -50,20 +50,19 @@ def unfinished(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budget) -> 
     problem = sofar.problem
     if problem is None:
         return _nothing_compared(dataset, scene, sofar, budget)
-    rng = problem.rng.spawn(1)[0]
     first, others = (sofar.first, ()) if sofar.first else _looked_at(problem)
     held, score = held_out(problem, None), problem.score
-    size = gap(held.size_before, held.size_after, rng, gap_left=False)
-    is_gap = bool(score.loss(problem.nominal).mean() > null_level(score, rng))
-    heat = locate(problem.plan, score, problem.nominal, rng)
-    where = with_regimes(symptoms(problem.plan, heat), problem, rng.spawn(1)[0]) if is_gap else ()
+    size = gap(held.size_before, held.size_after, problem.stream("gap"), gap_left=False)
+    is_gap = bool(score.loss(problem.nominal).mean() > null_level(score))
+    heat = locate(problem.plan, score, problem.nominal, problem.stream("where", ()))
+    where = with_regimes(symptoms(problem.plan, heat), problem) if is_gap else ()
     used, recs = data_used(dataset, problem, len(problem.recs), len(problem.recs)), sofar.recs or problem.recs
     needed = _needed(problem, budget)
     spent = f"{_spent(sofar, budget)}; {needed}"
     report = Report(
         verdict="out_of_budget",
         unknown=_unknown(problem, f"{_words(problem, sofar, first, others, is_gap)}; {needed}", held, where),
-        ranking=(*ranked(first, scene, rng), *_unseen(others)),
+        ranking=(*ranked(first, problem), *_unseen(others)),
         gap=size,
         where=where,
         data=used.model_copy(

@@ -51,9 +51,7 @@ class Described:
     stopgap: EffectSet
 
 
-def describe(
-    problem: Problem, world: EffectSet, where: Sequence[Symptom], nearest: str | None, rng: np.random.Generator
-) -> Described | None:
+def describe(problem: Problem, world: EffectSet, where: Sequence[Symptom], nearest: str | None) -> Described | None:
     """Return what remains in a world as a force: where, how large, on what it depends; None where none stands out.
 
     Where the force mends next to nothing, the worst symptom says on what it acts.
@@ -68,10 +66,8 @@ def describe(
         What remains, the worst first.
     nearest : str or None
         The library's nearest effect, to be named as such.
-    rng : numpy.random.Generator
-        Noise of the null replays.
     """
-    found = mended(problem, world, rng)
+    found = mended(problem, world)
     return described(found, world, where, nearest) if found else None
 
 

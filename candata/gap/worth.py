@@ -49,7 +49,7 @@ def has_room(best: Fit) -> bool:
 
 def leaves(problem: Problem, fit: Fit) -> bool:
     """Tell whether the held-out loss of a fit lies above the nulls of its world."""
-    return bool(fit.evidence.loss.mean() > null_level(problem.score, problem.rng))
+    return bool(fit.evidence.loss.mean() > null_level(problem.score))
 
 
 def worth_adding(extra: Array, so_far: float) -> bool:

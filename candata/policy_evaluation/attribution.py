@@ -27,9 +27,10 @@ def effect_share(effect: str, seen: Array, nominal: Array, repaired: Array, with
         What was seen, 1 or 0; NaN where nothing was. A share of repeats counts as what most of them were, and as
         nothing where half of them were each.
     nominal, repaired, without : (P, n) float64
-        Predicted success of the nominal simulator, of the repaired one, and of that without the effect.
+        Predicted success of the nominal simulator, of the repaired one, and of that without the effect; NaN where one
+        became unstable, which counts for nothing.
     """
-    known = np.isfinite(seen) & (seen != 0.5)
+    known = np.isfinite(seen + nominal + repaired + without) & (seen != 0.5)
     truth = seen > 0.5
     right_nominal, right_repaired, right_without = ((world > 0.5) == truth for world in (nominal, repaired, without))
     wrong = known & ~right_nominal

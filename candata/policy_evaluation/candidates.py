@@ -22,6 +22,8 @@ from candata.training.simulator import past_observer
 from candata.training.window_starts import commands_from, window_starts
 
 Array = NDArray[np.float64]
+#: Stream of a seed by which a start's candidates are drawn.
+CANDIDATE_STREAM = 0
 #: Name of the chunk without noise.
 AS_PLANNED = "as planned"
 
@@ -46,7 +48,7 @@ class Candidates:
 
 
 def noisy_candidates(
-    planned: Array, starts: ChunkStarts, bounds: CommandBounds, count: int, share: float, rng: np.random.Generator
+    planned: Array, starts: ChunkStarts, bounds: CommandBounds, count: int, share: float, seed: int
 ) -> Candidates:
     """Return planned chunks `(S, R, A)` and `count - 1` of each with smooth noise, within limits and rate.
 
@@ -62,8 +64,8 @@ def noisy_candidates(
         Chunks N at each start.
     share : float
         Noise at a knot, as a share of the standard deviation of the recorded commands.
-    rng : numpy.random.Generator
-        Draws the noise.
+    seed : int
+        Of the noise, which a start draws whatever others there are.
 
     Raises
     ------
@@ -74,7 +76,8 @@ def noisy_candidates(
         raise UsageError("nothing to choose between", expected="at least 2 candidates", found=str(count))
     if not np.isfinite(planned).all():
         raise UsageError("the policy plans what is no number", expected="finite commands", found="NaN or infinite")
-    noise = bounds.noise(rng, (len(starts), count), planned.shape[1], share)
+    rngs = [np.random.default_rng([seed, CANDIDATE_STREAM, number]) for number in starts.numbers]
+    noise = bounds.noise(rngs, count, planned.shape[1], share)
     noise[:, 0] = 0.0
     commands = bounds.kept(planned[:, None] + noise, np.repeat(starts.previous[:, None], count, axis=1))
     names = (AS_PLANNED, *(f"noise {k}" for k in range(1, count)))
@@ -133,7 +136,7 @@ def policy_chunks(policy: StepPolicy, scene: Scene, starts: ChunkStarts, rows: i
             rows,
             np.zeros((rows, commands.shape[2])),
         )
-        for number, episode in enumerate(starts.ids)
+        for number, episode in zip(starts.numbers.tolist(), starts.ids, strict=True)
     ]
     closed_loop = ClosedLoop(pilots, lead, scene.file.rate_hz, command_limits(scene), STEP_LIMIT_S)
     rollout(

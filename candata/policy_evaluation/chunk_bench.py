@@ -140,8 +140,7 @@ class ChunkBench:
         if policy.endswith(".parquet"):
             motions = read_motions(policy, self.scene).motions
             return motion_candidates(motions, self.starts, self.bounds, self.rows)
-        rng = np.random.default_rng([self.request.seed, 0])
-        return noisy_candidates(self.planned(), self.starts, self.bounds, count, noise, rng)
+        return noisy_candidates(self.planned(), self.starts, self.bounds, count, noise, self.request.seed)
 
 
 def chunk_bench(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, UsageError, Where
 from candata.loaders import Windows
-from candata.training.forecasters import COMMANDS_PLANNED
+from candata.training.forecasters import COMMANDS_PLANNED, NOISE_NUMBERS
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -35,6 +35,12 @@ class ChunkStarts:
     def ids(self) -> tuple[str, ...]:
         """Ids of the episodes."""
         return tuple(self.windows.episode_ids[episode] for episode in self.windows.owner.tolist())
+
+    @property
+    def numbers(self) -> Index:
+        """`(S,)` numbers of the episodes in the data set: what a start draws is seeded by its own."""
+        number = {name: k for k, name in enumerate(self.windows.dataset.ids)}
+        return np.array([number[name] for name in self.ids], np.int64)
 
     @property
     def previous(self) -> Array:
@@ -63,7 +69,8 @@ class ChunkStarts:
         """Return the windows `(S * N, ...)` in which commands `(S, N, R, A)` at the episodes' own rate are planned.
 
         The command at the present is part of the plan: it is held from the present on. Nothing that was recorded
-        after the present is left but the `future/` entries, which no forecast reads.
+        after the present is left but the `future/` entries, which no forecast reads. All chunks of a start draw from
+        its own stream: what is forecast depends on no other start, and chunks are compared with the same noise.
         """
         windows = self.windows
         numbers = np.repeat(np.arange(len(self)), commands.shape[1])
@@ -75,6 +82,7 @@ class ChunkStarts:
         history = batch["history/action"].copy()
         history[:, -1] = planned[:, 0]
         batch |= {"planned/action": planned, "history/action": history, COMMANDS_PLANNED: flat}
+        batch[NOISE_NUMBERS] = self.numbers[numbers]
         batch["future_pad"] = np.zeros_like(batch["future_pad"])
         return batch
 

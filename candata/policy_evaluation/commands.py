@@ -53,10 +53,11 @@ class CommandBounds:
             kept[..., row, :] = last = np.clip(within, *self.limits.T)
         return kept
 
-    def noise(self, rng: np.random.Generator, count: tuple[int, ...], rows: int, share: float) -> Array:
-        """Return smooth noise `(*count, rows, A)`: straight between knots, zero before the first step.
+    def noise(self, rngs: Sequence[np.random.Generator], count: int, rows: int, share: float) -> Array:
+        """Return smooth noise `(S, count, rows, A)`: straight between knots, zero before the first step.
 
-        `share` is the standard deviation at a knot, in that of the recorded commands.
+        Each start draws by a generator of its own. `share` is the standard deviation at a knot, in that of the recorded
+        commands.
 
         Raises
         ------
@@ -67,8 +68,8 @@ class CommandBounds:
             raise UsageError("the noise of commands is no number", expected="a finite share", found=f"{share:g}")
         time_s = np.arange(1, rows + 1) / self.rate_hz
         knots = max(1, int(np.ceil(time_s[-1] / KNOT_S - 1e-9)))
-        heights = rng.standard_normal((*count, knots, len(self.names)))
-        heights = np.concatenate([np.zeros((*count, 1, len(self.names))), heights], axis=-2)
+        heights = np.stack([rng.standard_normal((count, knots, len(self.names))) for rng in rngs])
+        heights = np.concatenate([np.zeros_like(heights[:, :, :1]), heights], axis=-2)
         place = time_s / KNOT_S
         before = np.minimum(place.astype(int), knots - 1)
         part = (place - before)[:, None]

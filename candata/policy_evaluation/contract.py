@@ -130,6 +130,11 @@ class Played:
         """Which starts `(n,)` ended in success."""
         return np.array([word == SUCCESS for word in self.outcomes], bool)
 
+    @property
+    def counted_success(self) -> Array:
+        """Success `(n,)` as it counts: 1, 0, or NaN where the simulation became unstable."""
+        return np.where(self.failed, np.nan, self.success)
+
 
 class World(Protocol):
     """Where policies are played."""

@@ -18,7 +18,7 @@ from candata.policy_evaluation.attribution import disagreement, effect_share, ne
 from candata.policy_evaluation.contract import Played, RealStarts, World
 from candata.policy_evaluation.goals import check_held, parsed_goal
 from candata.policy_evaluation.policies import EvaluatedPolicy, read_policies
-from candata.policy_evaluation.ranking import best_ranking, headline, lead, wilson, world_ranking
+from candata.policy_evaluation.ranking import best_ranking, headline, is_comparable, lead, wilson, world_ranking
 from candata.policy_evaluation.results import (
     Disagreement,
     EffectShare,
@@ -151,6 +151,7 @@ def evaluate_policies(
         settings.withheld.check(held_out.scene)
     policies = read_policies(policies_file, held_out.scene, goal)
     starts, notes = real_starts(held_out.scene, dataset, held_out.ids, settings.starts, settings.threads)
+    notes += held_out.seen_notes(starts.ids)
     worlds: tuple[World, ...] = (
         *simulated_worlds(held_out.scene, settings.effects, settings.threads),
         *held_out.learned_worlds,
@@ -212,13 +213,13 @@ class _Findings:
     recorded_flags: Array
 
     def success(self, world: str) -> Array:
-        """Return the success `(P, n)` of all policies in a world."""
+        """Return the success `(P, n)` of all policies in a world, NaN where a simulation became unstable."""
         return _success(self.policies, self.plays, world)
 
 
 def _success(policies: Sequence[EvaluatedPolicy], plays: Mapping[tuple[str, str], Played], world: str) -> Array:
-    """Return the success `(P, n)` of all policies in a world."""
-    return np.array([plays[policy.name, world].success for policy in policies], float)
+    """Return the success `(P, n)` of all policies in a world, NaN where a simulation became unstable."""
+    return np.array([plays[policy.name, world].counted_success for policy in policies])
 
 
 def _seen(
@@ -228,11 +229,8 @@ def _seen(
     has_withheld: bool,
 ) -> tuple[str | None, Array]:
     """Return what counts as seen and its name: the stand-in where there is one and it is stable, else recordings."""
-    if has_withheld:
-        failed = np.array([plays[policy.name, WITHHELD].failed for policy in policies])
-        seen_success = np.where(failed, np.nan, _success(policies, plays, WITHHELD))
-        return (WITHHELD if np.isfinite(seen_success).any() else None), seen_success
-    return (RECORDINGS if np.isfinite(recorded_flags).any() else None), recorded_flags
+    name, success = (WITHHELD, _success(policies, plays, WITHHELD)) if has_withheld else (RECORDINGS, recorded_flags)
+    return (name if np.isfinite(success).any() else None), success
 
 
 def _effects(
@@ -311,14 +309,16 @@ def _rankings(findings: _Findings, seed: int) -> tuple[tuple[WorldRanking, ...],
     """Return how well each world predicts, and by how much the best is ahead of the nominal simulator."""
     if findings.seen_name is None:
         return (), None
+    pairs = {world.name: (findings.success(world.name), findings.seen_success) for world in findings.worlds}
     rankings_drawn = {
-        world.name: world_ranking(world.name, findings.success(world.name), findings.seen_success, seed)
-        for world in findings.worlds
+        name: world_ranking(name, *success, seed) for name, success in pairs.items() if is_comparable(*success)
     }
     rankings = tuple(entry for entry, _ in rankings_drawn.values())
     top_ranking = best_ranking(rankings)
     if top_ranking is None or top_ranking.world == NOMINAL:
         return rankings, None
+    if NOMINAL not in rankings_drawn:
+        return rankings, Interval(value=np.nan, low=np.nan, high=np.nan)
     nominal = rankings_drawn[NOMINAL]
     value = top_ranking.spearman.value - nominal[0].spearman.value
     return rankings, lead(rankings_drawn[top_ranking.world][1], nominal[1], value)
@@ -349,14 +349,15 @@ def _scores(findings: _Findings) -> tuple[PolicyScore, ...]:
 
 def _score(policy: str, world: str, plays: Played) -> PolicyScore:
     """Return the success of one policy in one world."""
-    count, total = int(plays.success.sum()), len(plays.outcomes)
+    count, total = int(np.nansum(plays.counted_success)), int((~plays.failed).sum())
+    words = [str(word) for word, has_failed in zip(plays.outcomes, plays.failed, strict=True) if not has_failed]
     return PolicyScore(
         policy=policy,
         world=world,
         success=wilson(count, total),
         count=count,
         total=total,
-        outcomes=dict(sorted(Counter(map(str, plays.outcomes)).items())),
+        outcomes=dict(sorted(Counter(words).items())),
         unstable=int(plays.failed.sum()),
         spread_m=None if plays.spread_m is None else float(plays.spread_m.mean()),
     )
@@ -369,9 +370,8 @@ def _notes(findings: _Findings, goal: str | None, duration_s: float) -> tuple[st
         results = [findings.plays[policy.name, world.name] for policy in findings.policies]
         if any(np.isnan(result.contact).any() for result in results):
             notes.append(f"{world.name} forecasts no contact: slips and drops are not told there")
-        unstable = sum(int(result.failed.sum()) for result in results)
-        if unstable:
-            notes.append(f"{unstable} simulations of {world.name} became unstable")
+        if unstable := sum(int(result.failed.sum()) for result in results):
+            notes.append(f"{unstable} simulations of {world.name} became unstable and count for nothing")
     if findings.seen_name == RECORDINGS:
         notes.append(
             f"recordings count as their `outcome` says: it must be of {goal or 'what each policy means'} within "

@@ -24,6 +24,8 @@ Flags = NDArray[np.bool_]
 #: Chunks drawn at a start for random choice in the withheld world. Chosen: they leave a success share of a start
 #: uncertain by a sixth, which fifty starts average out.
 RANDOM_DRAWS = 8
+#: Streams of a seed: of a start's random choice, and of the bootstrap over starts.
+RANDOM_STREAM, BOOTSTRAP_STREAM = 1, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +92,11 @@ def withheld_result(
     seed : int
         Of random choice and of the bootstrap.
     """
-    rng = np.random.default_rng([seed, 1])
+    rng = np.random.default_rng([seed, BOOTSTRAP_STREAM])
     commands, has_plan = candidates.commands, candidates.names[0] == AS_PLANNED
     starts, count = commands.shape[:2]
-    drawn = rng.integers(count, size=(starts, min(RANDOM_DRAWS, count)))
+    rngs = [np.random.default_rng([seed, RANDOM_STREAM, number]) for number in withheld.starts.numbers]
+    drawn = np.stack([each.integers(count, size=min(RANDOM_DRAWS, count)) for each in rngs])
     chosen = np.stack([each.candidate for each in choosers], axis=1)
     played = np.concatenate([drawn, np.maximum(chosen, 0), np.zeros((starts, int(has_plan)), int)], axis=1)
     rows = np.arange(starts)[:, None]

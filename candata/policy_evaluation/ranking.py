@@ -70,23 +70,29 @@ def rates(success: Array, index: NDArray[np.int64] | None = None) -> Array:
         return np.asarray(np.nanmean(success[:, index], axis=-1).T)
 
 
+def is_comparable(predicted: Array, seen_success: Array) -> bool:
+    """Tell whether any start of any policy `(P, n)` was both predicted and seen."""
+    return bool(np.isfinite(predicted + seen_success).any())
+
+
 def world_ranking(world: str, predicted: Array, seen_success: Array, seed: int) -> tuple[WorldRanking, Array]:
     """Return how well a world predicts policies, and its resampled rank correlations `(DRAWS,)`.
 
-    Policies without a seen start are left out; a predicted rate is that over the starts which were seen.
+    Predicted and seen rates are those over the starts of which both are known. Policies without one are left out.
 
     Parameters
     ----------
     world : str
         Its name.
-    predicted, seen : (P, n) float64
-        Success of each policy from each start, 1 or 0; `seen` is NaN where nothing was.
+    predicted, seen_success : (P, n) float64
+        Success of each policy from each start, 1 or 0; NaN where a simulation became unstable, or nothing was seen. At
+        least one is known of both.
     seed : int
         Of the bootstrap: worlds of one evaluation share their draws.
     """
-    known_rows = np.isfinite(seen_success).any(1)
-    paired_success = np.where(np.isfinite(seen_success), predicted, np.nan)[known_rows]
-    real = seen_success[known_rows]
+    is_known = np.isfinite(predicted + seen_success)
+    known_rows = is_known.any(1)
+    paired_success, real = (np.where(is_known, success, np.nan)[known_rows] for success in (predicted, seen_success))
     rate, truth = rates(paired_success), rates(real)
     index = resamples(np.random.default_rng(seed), seen_success.shape[1], DRAWS)
     drawn_values = spearman(rates(paired_success, index), rates(real, index))
@@ -167,5 +173,5 @@ def headline(
     if margin is None:
         return f"{words}; no world is ahead of the nominal simulator"
     if not np.isfinite(margin.value):
-        return f"{words}; the nominal simulator ranks none, as all its policies succeed alike"
+        return f"{words}; the nominal simulator shows no order of the policies"
     return f"{words}, {margin.value:.2f} above the nominal simulator (95 %: {margin.low:.2f} to {margin.high:.2f})"

@@ -6,7 +6,7 @@ the mean of sampled commands, each weighed by exp(-S / lambda) of its cost S.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ from candata.policy_evaluation.commands import CommandBounds
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+#: Stream of a seed by which a start's chunks are sampled.
+ROUND_STREAM = 2
 #: Weight of the distance from the first commands: the mean square of the way in standard deviations of the noise.
 #: Chosen: moving all commands by one deviation costs a tenth of a goal.
 CHANGE_WEIGHT = 0.1
@@ -80,6 +82,7 @@ def refine_chunks(
     world: ChunkWorld,
     planned: Array,
     previous: Array,
+    numbers: Sequence[int] | NDArray[np.int64],
     bounds: CommandBounds,
     goal: Goal,
     settings: MppiSettings,
@@ -98,6 +101,8 @@ def refine_chunks(
         Chunks to begin with.
     previous : (S, A) float64
         Commands before.
+    numbers : (S,) int64
+        Number of each start, by which it draws, whatever others there are.
     bounds : CommandBounds
         Limits and rates, which every sampled chunk keeps.
     goal : Goal
@@ -114,14 +119,14 @@ def refine_chunks(
         roll.
     """
     _check(settings, planned)
-    rng = np.random.default_rng([settings.seed, 2])
-    starts, rows, count = len(planned), planned.shape[1], settings.candidates
+    rngs = [np.random.default_rng([settings.seed, ROUND_STREAM, number]) for number in numbers]
+    rows, count = planned.shape[1], settings.candidates
     first = bounds.kept(planned, previous)
     mean, before = first, np.repeat(previous[:, None], count, axis=1)
     scale = settings.noise * np.maximum(bounds.spread, np.finfo(float).tiny)
     for number in range(settings.rounds):
         stage(f"refining, round {number + 1} of {settings.rounds}")
-        noise = bounds.noise(rng, (starts, count), rows, settings.noise * NOISE_DECAY**number)
+        noise = bounds.noise(rngs, count, rows, settings.noise * NOISE_DECAY**number)
         noise[:, 0] = 0.0
         sampled = bounds.kept(mean[:, None] + noise, before)
         cost = world.forecast(sampled, (settings.seed, number)).cost(goal).cost

@@ -14,7 +14,7 @@ from candata.policies._network import SUFFIX, Network, read_network
 from candata.policy_evaluation.chunk_bench import ChunkBench
 from candata.policy_evaluation.chunk_worlds import ChunkWorld
 from candata.policy_evaluation.distillation import chunk_rows, distilled_last_layer, distilled_network
-from candata.policy_evaluation.filtering import paired_lift, success_share
+from candata.policy_evaluation.filtering import BOOTSTRAP_STREAM, paired_lift, success_share
 from candata.policy_evaluation.refine_results import RefinedSuccess, RefineResult
 from candata.policy_evaluation.refinement import MppiSettings, RefinedChunks, refine_chunks
 from candata.scenes import Scene
@@ -36,10 +36,11 @@ def run_refine(
         As `ChunkBench.planned` and `refine_chunks`.
     """
     goal = bench.request.goal
-    planned, previous = bench.planned(), bench.starts.previous
+    planned, previous, numbers = bench.planned(), bench.starts.previous, bench.starts.numbers
     worlds = [bench.model, *(bench.simulators if bench.withheld is not None else ())]
     refined = {
-        world.name: refine_chunks(world, planned, previous, bench.bounds, goal, settings, stage) for world in worlds
+        world.name: refine_chunks(world, planned, previous, numbers, bench.bounds, goal, settings, stage)
+        for world in worlds
     }
     first = refined[bench.model.name]
     withheld = None
@@ -68,7 +69,7 @@ def _withheld(
     """Return the success of the planned chunks and of each refinement, by who refined."""
     commands = np.stack([planned, *(each.commands for each in refined.values())], axis=1)
     success = world.forecast(commands, (seed,)).succeeds(goal, scene).astype(float)
-    rng = np.random.default_rng([seed, 3])
+    rng = np.random.default_rng([seed, BOOTSTRAP_STREAM])
     results = {}
     for k, (name, each) in enumerate(refined.items(), start=1):
         results[name] = RefinedSuccess(

@@ -23,6 +23,7 @@ class PolicyFacts(ResultRecord):
 class PolicyScore(ResultRecord):
     """A policy in one world: its success with a Wilson interval, how episodes ended, and how many were unstable.
 
+    Those that became unstable count in `unstable` alone: neither in `total` nor in `outcomes`.
     `spread_m` is the mean distance of sampled forecasts from their mean [m], None in a simulation.
     """
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.effects import read_effects
-from candata.errors import UsageError
+from candata.errors import UnknownNameError, UsageError, Where
 from candata.policy_evaluation.contract import RealStarts
 from candata.policy_evaluation.policies import EvaluatedPolicy
 from candata.scenes import Scene
@@ -61,15 +61,27 @@ def recorded_success(dataset: Dataset, policies: Sequence[EvaluatedPolicy], star
         In the order of the rows.
     starts : RealStarts
         In the order of the columns.
+
+    Raises
+    ------
+    UnknownNameError
+        When the label `start` of such a recording names no episode of the data set.
     """
     rows = {policy.name: k for k, policy in enumerate(policies)}
     columns = {name: k for k, name in enumerate(starts.ids)}
     total, count = np.zeros((len(rows), len(columns))), np.zeros((len(rows), len(columns)))
     catalog = dataset.catalog(["id", "meta"])
-    for name, text in zip(catalog["id"].to_pylist(), catalog["meta"].to_pylist(), strict=True):
+    names = catalog["id"].to_pylist()
+    known_names = set(names)
+    for name, text in zip(names, catalog["meta"].to_pylist(), strict=True):
         facts = parse_json(text)
         start = str((facts.get("labels") or {}).get(START_LABEL, name))
-        if facts.get("outcome") is None or facts.get("task") not in rows or start not in columns:
+        if facts.get("outcome") is None or facts.get("task") not in rows:
+            continue
+        if start not in known_names:
+            labelled = Where(path=str(dataset.path), episode=name)
+            raise UnknownNameError(f"episode in the label {START_LABEL!r}:", start, known_names, labelled)
+        if start not in columns:
             continue
         place = rows[facts["task"]], columns[start]
         total[place] += facts["outcome"] == SUCCESS
@@ -77,14 +89,14 @@ def recorded_success(dataset: Dataset, policies: Sequence[EvaluatedPolicy], star
     return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
 
 
-def recordings_from(dataset: Dataset, ids: Sequence[str]) -> tuple[str, ...]:
-    """Return the other episodes that were played from the starts of some, as their label `start` says."""
-    catalog, starts = dataset.catalog(["id", "meta"]), set(ids)
+def recordings_from(dataset: Dataset, ids: Sequence[str]) -> dict[str, str]:
+    """Return the other episodes that were played from the starts of some, each with the one that its label names."""
+    catalog, starts = dataset.catalog(["id", "meta"]), frozenset(ids)
     labels = {
         name: (parse_json(text).get("labels") or {}).get(START_LABEL)
         for name, text in zip(catalog["id"].to_pylist(), catalog["meta"].to_pylist(), strict=True)
     }
-    return tuple(name for name, start in labels.items() if start in starts and name not in starts)
+    return {name: start for name, start in labels.items() if start in starts and name != start}
 
 
 def withheld_effects(path: Path) -> Withheld:

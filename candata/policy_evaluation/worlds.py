@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +63,25 @@ class HeldOut:
     split : str
         Name of the split.
     learned_worlds : tuple of LearnedWorld
+    seen_starts : dict of str to frozenset of str
+        By run: the episodes that it was trained on, or on recordings that were played from their starts.
     """
 
     scene: Scene
     ids: tuple[str, ...]
     split: str
     learned_worlds: tuple[LearnedWorld, ...]
+    seen_starts: dict[str, frozenset[str]] = field(default_factory=dict)
+
+    def seen_notes(self, starts: Sequence[str]) -> tuple[str, ...]:
+        """Return a line for each run that was trained on some of the starts, which `train` and `all` allow."""
+        counts = {name: len(seen.intersection(starts)) for name, seen in self.seen_starts.items()}
+        return tuple(
+            f"{name} was trained on {count} of the {len(starts)} starts, or on recordings from them: what it forecasts "
+            "there it has seen"
+            for name, count in counts.items()
+            if count
+        )
 
 
 def held_out_episodes(
@@ -113,9 +126,13 @@ def held_out_episodes(
     run_entries = evaluated_runs.read_runs(runs, settings.execute, (NOMINAL, REPAIRED, WITHHELD, RECORDINGS))
     split, split_name = evaluated_runs.split_of(run_entries, dataset)
     ids = tuple(dataset.ids) if group == "all" else tuple(group_ids(dataset, split, group))
-    held_out = (*ids, *recordings_from(dataset, ids))
+    played_from = recordings_from(dataset, ids)
+    held_out = tuple(dict.fromkeys((*ids, *played_from)))
+    seen_starts = {}
     for run_entry in run_entries:
-        evaluated_runs.refuse_seen(run_entry, evaluated_runs.seen_ids(run_entry, dataset, split, held_out) or (), group)
+        seen = evaluated_runs.seen_ids(run_entry, dataset, split, held_out) or ()
+        evaluated_runs.refuse_seen(run_entry, seen, group)
+        seen_starts[run_entry.name] = frozenset(seen) | {played_from[name] for name in seen if name in played_from}
     evaluated_runs.check_scaled(run_entries, dataset, ids)
     loaded_scene, ids = _of_one_scene(dataset, ids, scene)
     evaluation_settings = EvaluationSettings(
@@ -129,7 +146,7 @@ def held_out_episodes(
         forecaster: Any = entrant.forecaster  # a run's is a TrainedModel
         common = (run_entry.name, loaded_scene, forecaster, entrant.windows, lags, run_entry.execute)
         learned_worlds.append(LearnedWorld(*common, settings.joints))
-    return HeldOut(loaded_scene, ids, split_name, tuple(learned_worlds))
+    return HeldOut(loaded_scene, ids, split_name, tuple(learned_worlds), seen_starts)
 
 
 def _of_one_scene(dataset: Dataset, ids: tuple[str, ...], scene: str | None) -> tuple[Scene, tuple[str, ...]]:

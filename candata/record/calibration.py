@@ -55,6 +55,8 @@ class Calibration:
         Travel of each axis within the window, in counts.
     joint_range_rad : (J,) float64 [rad]
         Travel of each joint within the window.
+    end_ns : int or None
+        Stamp of the window's last state in unix time [ns]; None in logs of versions that did not keep it.
     """
 
     force_bias_counts: NDArray[np.float64]
@@ -63,6 +65,7 @@ class Calibration:
     duration_s: float
     force_spread_counts: NDArray[np.float64]
     joint_range_rad: NDArray[np.float64]
+    end_ns: int | None = None
 
 
 def calibrate(
@@ -131,7 +134,7 @@ def from_metadata(values: Mapping[str, Any]) -> Calibration:
     KeyError, TypeError, ValueError
         When a value is missing or of the wrong kind.
     """
-    taxels = values["taxel_bias_counts"]
+    taxels, end_ns = values["taxel_bias_counts"], values.get("end_ns")
     return Calibration(
         force_bias_counts=np.asarray(values["force_bias_counts"], dtype=np.float64),
         taxel_bias_counts=None if taxels is None else np.asarray(taxels, dtype=np.float64),
@@ -139,6 +142,7 @@ def from_metadata(values: Mapping[str, Any]) -> Calibration:
         duration_s=float(values["duration_s"]),
         force_spread_counts=np.asarray(values["force_spread_counts"], dtype=np.float64),
         joint_range_rad=np.asarray(values["joint_range_rad"], dtype=np.float64),
+        end_ns=None if end_ns is None else int(end_ns),
     )
 
 

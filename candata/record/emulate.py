@@ -20,6 +20,11 @@ from candata.record.emulate_script import Script
 SETTLE_S = 0.2
 #: Longest wait at the end for the reader to take the last bytes, which go with the port.
 DRAIN_S = 1.0
+#: Most that waits for a reader which is late, beside the 12 kB of the pseudo-terminal [bytes]. Source: Linux keeps so
+#: much for the reader of a serial port (`TTYB_DEFAULT_MEM_LIMIT` of tty_buffer.c, 65536; newer kernels keep more).
+WAITING_BYTES = 65_536
+#: How soon a full port is tried again [s].
+RETRY_S = 0.002
 #: Longest sleep, so that a stop is heard soon.
 _NAP_NS = 50_000_000
 
@@ -85,7 +90,7 @@ class _Tally:
 
 
 class _HeldFrame(NamedTuple):
-    """A frame that an adapter holds: what arrives of it, whether that is undamaged, and where to note that it did."""
+    """A frame that waits: what is still to arrive of it, whether that is undamaged, and where to note that it did."""
 
     data: bytes
     is_undamaged: bool
@@ -130,10 +135,20 @@ class _Wire:
         """Tell whether nothing is sent in second `at_s`."""
         return self.line is None or any(t <= at_s < t + length for t, length in self._faults.stalls)
 
-    def send(self, frame: bytes, is_silent: bool, arrived_whole: list[bool]) -> None:
-        """Send a frame, or hold it until the timer runs out; `arrived_whole` takes whether it went out undamaged."""
+    def has_room(self, count: int) -> bool:
+        """Tell whether so many bytes may wait for the reader beside those that do."""
+        return count + sum(len(frame.data) for frame in self._held) <= WAITING_BYTES
+
+    def send(self, frame: bytes, is_silent: bool, has_room: bool, arrived_whole: list[bool]) -> None:
+        """Send a frame, or hold it until timer and reader let it out, or lose it where there is no room.
+
+        `arrived_whole` takes whether it went out undamaged.
+        """
         arrived_whole.append(False)
         if is_silent or self.line is None:
+            return
+        if not has_room:
+            self._lose(frame)
             return
         data, fault = with_fault(frame, self._faults, self._script.encoder.with_heads, self._rng)
         if fault:
@@ -143,29 +158,42 @@ class _Wire:
             self._hand_over()
 
     def tick(self, now_ns: int) -> int:
-        """Hand over what is held if the timer has run out; return the time until it does next [ns], or a nap."""
+        """Hand over what is held unless a timer keeps it; return when to do so again [ns from now]."""
         if not self._timer_ns:
-            return _NAP_NS
+            self._hand_over()
+            return round(1e9 * RETRY_S) if self._held else _NAP_NS
         if now_ns >= self._tick_ns:
             self._hand_over()
             self._tick_ns += self._timer_ns * (1 + (now_ns - self._tick_ns) // self._timer_ns)
         return self._tick_ns - now_ns
 
     def drain(self) -> None:
-        """Wait until nothing is held, and the reader has taken what is on the line."""
-        while self._held:
-            time.sleep(self.tick(time.monotonic_ns()) * 1e-9)
+        """Wait until nothing is held, and the reader has taken what is on the line; each at most `DRAIN_S`."""
+        end_ns = time.monotonic_ns() + round(1e9 * DRAIN_S)
+        while self._held and (now_ns := time.monotonic_ns()) < end_ns:
+            time.sleep(self.tick(now_ns) * 1e-9)
         if self.line is not None:
             self.line.drain(DRAIN_S)
 
     def _hand_over(self) -> None:
-        """Write what is held; what the reader has not taken in time, or no line takes, is lost."""
-        for frame in self._held:
-            lost_bytes = len(frame.data) - (self.line.write(frame.data) if self.line else 0)
-            self.tally.dropped_bytes += lost_bytes
-            self.tally.dropped_frames += lost_bytes > 0
-            frame.arrived_whole[frame.place] = frame.is_undamaged and not lost_bytes
-        self._held = []
+        """Write what is held as far as the port takes it; where nobody listens all of it is lost."""
+        if self.line is None or not self.line.has_reader():
+            for frame in self._held:
+                self._lose(frame.data)
+            self._held = []
+            return
+        while self._held:
+            frame = self._held.pop(0)
+            count = self.line.write(frame.data)
+            if count < len(frame.data):
+                self._held.insert(0, frame._replace(data=frame.data[count:]))
+                return
+            frame.arrived_whole[frame.place] = frame.is_undamaged
+
+    def _lose(self, data: bytes) -> None:
+        """Count a frame, or what is left of it, that is lost."""
+        self.tally.dropped_frames += 1
+        self.tally.dropped_bytes += len(data)
 
 
 def wait_for_reader(line: Line, stop: Callable[[], bool]) -> bool:
@@ -253,13 +281,16 @@ def _send_row(
     begin_times: list[int] = []
     arrived_whole: list[bool] = []
     free_ns = start_ns
-    for frame in (script.commands[index], script.states[index]):
+    frames = script.commands[index], script.states[index]
+    # A request and its reply go or are lost together.
+    has_room = wire.has_room(sum(map(len, frames)))
+    for frame in frames:
         length_ns = wire_time_ns(len(frame), script.device.baud)
         # A request that went out is answered: a stop ends between rows.
         moment_ns = _wait(free_ns + length_ns, (lambda: False) if arrived_whole else stop, wire)
         if moment_ns is None:
             return None
-        wire.send(frame, is_silent, arrived_whole)
+        wire.send(frame, is_silent, has_room, arrived_whole)
         begin_times.append(moment_ns - length_ns)
         free_ns = moment_ns
     wire.tally.arrived_whole.append(arrived_whole)

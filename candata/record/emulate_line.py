@@ -1,4 +1,4 @@
-"""A pseudo-terminal that behaves like a serial line: what nobody takes in time is lost."""
+"""A pseudo-terminal that behaves like a serial line: nobody who writes to it waits for its reader."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ EMPTY_POLLS = 5
 class Line:
     """One end of a line; the other is a port that any program can open.
 
-    A pseudo-terminal keeps about 12 kB for its reader and then makes the writer wait; a real one goes on and loses
-    bytes. `write` never waits: what does not fit is dropped, and all of it while nobody has the port open.
+    A pseudo-terminal keeps about 12 kB for its reader and then makes the writer wait. `write` never waits: it takes
+    what fits, and nothing while nobody has the port open.
     """
 
     def __init__(self, link: Path | None = None) -> None:
@@ -90,7 +90,7 @@ class Line:
             return  # the port was closed meanwhile
 
     def write(self, data: bytes) -> int:
-        """Return how many bytes of `data` went out; the rest is lost."""
+        """Return how many bytes of `data` the port took, from the first on."""
         if not self.has_reader():
             return 0
         try:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import SetupError, Where
-from candata.record.emulate import DRAIN_S, SETTLE_S
+from candata.record.emulate import DRAIN_S, RETRY_S, SETTLE_S, WAITING_BYTES
 from candata.record.emulate_faults import Faults, with_fault
 from candata.record.emulate_line import Line
 from candata.record.emulate_session import SentStream
@@ -51,12 +51,35 @@ class Outlet(Heard, Protocol):
 
 
 class SerialOutlet(Line):
-    """A pseudo-terminal behind a link."""
+    """A pseudo-terminal behind a link; frames wait for a late reader, up to `WAITING_BYTES`, or are lost whole."""
+
+    def __init__(self, link: Path) -> None:
+        """Open a port behind a link; raises as `Line`."""
+        super().__init__(link)
+        self._waiting_data = bytearray()
 
     @property
     def address(self) -> str:
         """The link."""
         return str(self.link or self.port)
+
+    def write(self, data: bytes) -> int:
+        """Return the length of a frame that goes out, now or later; 0 where it is lost."""
+        if not self.has_reader():
+            self._waiting_data.clear()
+            return 0
+        is_taken = len(self._waiting_data) + len(data) <= WAITING_BYTES
+        self._waiting_data += data if is_taken else b""
+        del self._waiting_data[: super().write(bytes(self._waiting_data))]
+        return len(data) if is_taken else 0
+
+    def drain(self, limit_s: float) -> None:
+        """Wait until nothing waits, and the reader has taken what is on the line; each at most `limit_s`."""
+        end_s = time.monotonic() + limit_s
+        while self._waiting_data and time.monotonic() < end_s:
+            self.write(b"")
+            time.sleep(RETRY_S)
+        super().drain(limit_s)
 
 
 class TcpOutlet:

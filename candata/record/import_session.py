@@ -32,8 +32,9 @@ class ImportedSession:
 def cut_episodes(whole: ImportedLog, log: Log) -> ImportedSession:
     """Return the episodes that were marked in a log; the whole log as one where it is of no session.
 
-    The n-th begin of a session makes the episode `ID-000n`, with the id of the whole: discarding one renames none. An
-    episode without an end reaches to the end of the log.
+    The n-th begin of a session makes the episode `ID-000n`, with the id of the whole: discarding one renames none, nor
+    do marks that are lost with a damaged piece of the log. The last episode reaches to the end of the log where it has
+    no end; another one whose begin or end is lost is left out.
 
     Parameters
     ----------
@@ -50,13 +51,18 @@ def cut_episodes(whole: ImportedLog, log: Log) -> ImportedSession:
     if not log.meta.session and not log.events:
         return ImportedSession((whole.episode,), whole.details, whole.notes)
     session, drift = session_of(log)
-    kept = [episode for episode in session.episodes if not episode.discarded]
+    newest = max((mark.episode for mark in session.marks if mark.episode is not None), default=0)
+    whole_numbers = {e.number for e in session.episodes if e.end_ns is not None or e.number == newest}
+    lost = set(range(1, newest + 1)) - whole_numbers
+    kept = [episode for episode in session.episodes if not (episode.discarded or episode.number in lost)]
     cuts = [(episode, _cut(whole.episode, episode)) for episode in kept]
     notes, episodes = list(whole.notes), [episode for _, episode in cuts if episode is not None]
     empty = [str(episode.number) for episode, rows in cuts if rows is None]
     discarded = [str(episode.number) for episode in session.episodes if episode.discarded]
     unended = [str(episode.number) for episode in kept if episode.end_ns is None]
     notes += [f"discarded episodes left out: {', '.join(discarded)}"] if discarded else []
+    lost_text = ", ".join(map(str, sorted(lost)))
+    notes += [f"left out, the log lacks their begin or end: episodes {lost_text}"] if lost else []
     notes += [f"left out, without rows that all streams cover: episodes {', '.join(empty)}"] if empty else []
     notes += [f"no end was marked, the end of the log counts: episode {', '.join(unended)}"] if unended else []
     notes += [f"a mark that fits no episode: {mark.note}" for mark in session.marks if mark.episode is None]
@@ -89,7 +95,7 @@ def _cut(whole: Episode, marked: SessionEpisode) -> Episode | None:
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     update = {
         "id": f"{whole.meta.id}-{marked.number:04d}",
-        "outcome": marked.outcome,
+        "outcome": marked.outcome or whole.meta.outcome,
         "invalid_counts": invalid,
         "labels": {**whole.meta.labels, "session_episode": marked.number},
     }

@@ -17,17 +17,17 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
 from candata.record.companions import Companion, RecordedStream
 from candata.record.import_contact import add_contact, contact_shares
+from candata.record.import_recipe import ImportRecipe
 from candata.record.import_streams import (
     column_order,
     gap_periods,
@@ -43,8 +43,6 @@ from candata.record.logs import Log
 from candata.record.stream_clocks import clock_notes, set_clocks
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta, StreamClock
-from candata.schema.record import Record
-from candata.schema.scene import Positive, SceneFile
 
 Arrays = dict[str, NDArray]
 
@@ -52,48 +50,6 @@ Arrays = dict[str, NDArray]
 BEAT_ROWS = 81
 #: Largest rate of the grid as a multiple of the hand's.
 RATES = 20
-
-
-class ImportRecipe(Record):
-    """Every setting of an import; null takes the log's, or the scene's, own.
-
-    Attributes
-    ----------
-    episode : str
-        Id of the episode.
-    rate_hz : float, optional
-        Rate of the grid where no scene is given; the device's by default.
-    newton_per_count : float, optional
-        Scale of the forces.
-    threshold_n : float
-        Contact is |Fx| + |Fy| + |Fz| above it.
-    release_n : float, optional
-        Contact ends below it; by default where the threshold is no longer exceeded.
-    max_gap_periods : float
-        Neighbours further apart, in periods of their stream, are the ends of a gap.
-    uncalibrated : bool
-        Take a log without calibration: nothing is subtracted from its forces.
-    scene : str, optional
-        Name of the scene; `roles` is what its file says.
-    object, task : str, optional
-        Of the episode; else what the companions say, or the scene.
-    align : str
-        How streams beside the hand are put on the clock of the log. `device`: by the device's own clock where it has
-        one, else by the stamps; `clocks`: by motion too where it has none; `stamps`: by the stamps of arrival alone.
-    """
-
-    episode: str
-    rate_hz: Positive | None = None
-    newton_per_count: Positive | None = None
-    threshold_n: Positive = 0.3
-    release_n: Positive | None = Field(default=None, exclude_if=lambda force: force is None)
-    max_gap_periods: float = Field(default=align.MAX_GAP_PERIODS, gt=1.0)
-    uncalibrated: bool = False
-    scene: str | None = None
-    roles: SceneFile | None = None
-    object: str | None = None
-    task: str | None = None
-    align: Literal["device", "clocks", "stamps"] = "device"
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +118,10 @@ def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Seq
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
     episode_arrays = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
-    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid, clocks), episode_arrays)
+    meta = _meta(log, recipe, companions, names, rate_hz, invalid, clocks)
+    if recipe.roles is not None and "object_pose" in episode_arrays and meta.object == recipe.roles.object:
+        meta = meta.model_copy(update={"point_cloud": recipe.point_cloud})
+    episode = Episode(meta, episode_arrays)
     details = _details(path, log, recipe, companions, episode, scale)
     notes += [late_note] if late_note else []
     notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if in_bursts else []
@@ -189,6 +148,8 @@ def _meta(
         object=recipe.object
         or _first_stated([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
         task=recipe.task or _first_stated(c.task for c in companions),
+        outcome=recipe.outcome,
+        labels=recipe.labels,
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
@@ -242,7 +203,7 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
     """Return the times that all streams cover, after the calibration; one beside the hand may fall silent."""
     states = log.state_time_ns
-    calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
+    calibrated_ns = _calibrated_ns(log)
     earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
     end_ns = min(int(s.time_ns[-1]) for s in streams if not is_logged(s))
     row = int(np.searchsorted(states, earliest))
@@ -260,6 +221,15 @@ def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: floa
             fix="record longer",
         )
     return grid_ns
+
+
+def _calibrated_ns(log: Log) -> int:
+    """Return when the calibration was over [ns]: a hand that was unplugged meanwhile was calibrated anew."""
+    if log.calibration is None:
+        return int(log.state_time_ns[0])
+    if log.calibration.end_ns is not None:
+        return log.calibration.end_ns
+    return int(log.state_time_ns[0]) + round(log.calibration.duration_s * 1e9)
 
 
 def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> int:

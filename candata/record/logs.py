@@ -326,7 +326,7 @@ def read_log(path: str | Path) -> Log:
         records = {name: values for name, values in metadata.items() if name.startswith(STREAM)}
         metas = stream_metas({name: parse_values(values, place) for name, values in records.items()}, place)
         streams = tuple(logged_stream(m, messages, reads.get(f"/{m.name}/wire", [])) for m in metas.values())
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()

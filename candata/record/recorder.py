@@ -17,6 +17,7 @@ from candata.record.addresses import Address, StreamSource, require_distinct
 from candata.record.calibration import Calibration
 from candata.record.devices._contract import Commands, Device, Frame, States
 from candata.record.drift import DriftWindow, drift_text, resting_hand
+from candata.record.link_watch import LinkWatch
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.poll import poll_of
 from candata.record.reader_link import Event, ReaderLink, port_error, wait_for_events
@@ -75,7 +76,8 @@ def record(
     Raises
     ------
     UsageError
-        When `out` exists, two streams have one name or address, or the set-point to poll with is refused.
+        When `out` exists, two streams have one name or address, the set-point to poll with is refused, or episodes
+        are to begin by contact and no force tells of one.
     SetupError
         When a port or address cannot be opened, the disk is full, or pyserial is missing; the report has later ones.
     """
@@ -89,6 +91,8 @@ def record(
     address = replace(address, baud=meta.baud)
     poll = None if settings.poll_rad is None else poll_of(device, name, settings.poll_rad)
     require_distinct(streams)
+    if session is not None:
+        session.check(meta.fingertip_names, settings.calibrate_s > 0)
     with ReaderLink(address, settings.reconnect_s, poll) as link, open_streams(streams, settings.reconnect_s) as opened:
         open_event = link.opened()
         if open_event.facts.get("note"):
@@ -138,8 +142,7 @@ class _Recording:
         if session is not None:
             session.open(writer)
         self._unplugged = False
-        # When bytes came last, since when they have come without a good frame among them, and what was said of it.
-        self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
+        self._watch = LinkWatch(settings, meta, opened_ns)
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
         self.streams: Sequence[StreamRecording] = ()
@@ -260,7 +263,7 @@ class _Recording:
         self._tally.note_back(event.stamp_ns)
         self._framer = self._device.framer()
         self._tally.use(self._framer)
-        self._heard_ns, self._bad_since_ns = event.stamp_ns, 0
+        self._watch.plugged(event.stamp_ns)
         if self._window is not None:
             self._window, self._window_start_ns, self._resting_ns = [], None, event.stamp_ns
         self._say("the port is back; the recording goes on in the same log")
@@ -268,14 +271,8 @@ class _Recording:
     def _bytes(self, event: Event) -> None:
         self._writer.wire(event.data, event.stamp_ns)
         self._tally.read(event.data, event.stamp_ns)
-        if event.stamp_ns - self._heard_ns > 1e9 * self._settings.patience_s:
-            self._bad_since_ns = 0  # a glitch before a silence says nothing of what comes now
-        self._heard_ns, self._silent = event.stamp_ns, False
         frames = self._framer.feed(event.data, event.stamp_ns)
-        if frames:
-            self._bad_since_ns, self._bad = 0, False
-        else:
-            self._bad_since_ns = self._bad_since_ns or event.stamp_ns
+        self._watch.heard(event.stamp_ns, bool(frames))
         self._frames(frames)
 
     def _asked(self, event: Event) -> None:
@@ -310,7 +307,7 @@ class _Recording:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
         self._window.append(states)
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
-            self._calibrate(join_states(self._window))
+            self._calibrate(join_states(self._window), stamps_ns[-1])
 
     def _touch(self, stamps_ns: list[int], force_N: NDArray) -> None:
         rule = self._settings.contact
@@ -320,9 +317,10 @@ class _Recording:
             self._session.begin(stamps_ns[0])
             self._session.touched(stamps_ns, flags)
 
-    def _calibrate(self, states: States) -> None:
+    def _calibrate(self, states: States, end_ns: int) -> None:
         settings = self._settings
-        self._calibration = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
+        resting = resting_hand(states, settings.calibrate_s, self._meta, settings.limits)
+        self._calibration = replace(resting, end_ns=self._writer.unix_ns(end_ns))
         self._window = None
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")
@@ -339,7 +337,9 @@ class _Recording:
             self._writer.sync_behind()
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
-            self._check_link(now_ns)
+            if not self._unplugged:
+                in_session = self._session is not None and not self._drift.is_open
+                self._watch.check(now_ns, self._tally, self._say, in_session)
             if note := self._tally.bursts_note(self._meta.port):
                 self._say(note)
             for stream in self.streams:
@@ -352,21 +352,6 @@ class _Recording:
             return False
         self._due[task] = now_ns + int(1e9 * period_s)
         return True
-
-    def _check_link(self, now_ns: int) -> None:
-        """Say when the port is silent or gives no good frame; raises SetupError when it never gave one."""
-        patience_s = self._settings.patience_s
-        if self._unplugged:
-            return
-        if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
-            if not sum(self._tally.frames.values()):
-                raise no_state(self._tally, self._meta)
-            if not self._bad:
-                self._bad = True
-                self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
-        if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
-            self._silent = True
-            self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
 
     def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally

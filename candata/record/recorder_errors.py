@@ -1,4 +1,4 @@
-"""What ends a recording badly: a full disk, a hand that gives no state."""
+"""What ends a recording badly: a full disk, a hand that gives no state or falls silent."""
 
 from __future__ import annotations
 
@@ -50,6 +50,17 @@ def no_state(tally: RecorderTally, meta: LogMeta) -> SetupError:
         found=f"{tally.bytes} bytes without one",
         where=place,
         fix="check --baud, --device and the wiring",
+    )
+
+
+def silent_session(tally: RecorderTally, meta: LogMeta, silence_s: float) -> SetupError:
+    """Return the error of a hand that fell silent in a session."""
+    return SetupError(
+        "the hand fell silent, and the session ends",
+        expected=f"a state within {silence_s:g} s",
+        found=f"{tally.frames['state']} states before, none since",
+        where=Where(path=meta.port),
+        fix="see whether the hand is on and its program runs; the log is whole up to here; --silence waits longer",
     )
 
 

@@ -15,6 +15,9 @@ from candata.schema.episode import ContactRule
 
 Phase = Literal["waiting", "calibrating", "recording", "unplugged", "checking"]
 StreamPhase = Literal["waiting", "recording", "silent", "unplugged"]
+#: Silence of a hand that ends a session, unless another is given [s]. Chosen: longer than it takes to put the object
+#: back and start the hand's program again, and short enough that nobody waits in vain for a night.
+SILENCE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,8 @@ class RecorderSettings:
         Free space on the disk at which the recording ends.
     patience_s : float
         How long a port may be silent, or give bytes without one good frame, before it is said [s].
+    silence_s : float
+        How long a hand on a plugged port may give no state before its session ends [s].
     contact : ContactRule
         When a fingertip is shown as touching, and an episode begins by touch; its scale is not used.
     poll_rad : tuple of float, optional
@@ -47,6 +52,7 @@ class RecorderSettings:
     reconnect_s: float = 10.0
     reserve_bytes: int = 200_000_000
     patience_s: float = 2.0
+    silence_s: float = SILENCE_S
     contact: ContactRule = field(default_factory=ContactRule)
     poll_rad: tuple[float, ...] | None = None
 

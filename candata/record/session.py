@@ -16,6 +16,10 @@ from candata.schema.session import BEGIN, DISCARD, END, Mark, MarkKind, MarkSour
 #: Key to the mark that it makes; the space bar begins and ends.
 SPACE = " "
 KEYS: Mapping[str, MarkKind] = {"s": "success", "l": "slip", "d": "drop", "m": "miss", "x": "discard"}
+#: Time after a begin or an end in which the space bar answers to none of it yet [s]: by contact or by the schedule it
+#: came just before the key that meant the same. Source: simple reactions to what is seen take 0.2 s on average
+#: (Woods et al. 2015, Frontiers in Human Neuroscience 9:131).
+REACTION_S = 0.2
 #: What the keys do, for people.
 KEY_WORDS = "space begins/ends · s success · l slip · d drop · m miss · x discard"
 
@@ -33,11 +37,18 @@ class Session:
         """The episode under way, None if none is."""
         return self.episodes[-1] if self.episodes and self.episodes[-1].end_ns is None else None
 
-    def typed(self, key: str) -> MarkKind | None:
-        """Return the mark that a key makes now, None for a key that makes none."""
-        if key == SPACE:
-            return "end" if self.open_episode else "begin"
-        return KEYS.get(key)
+    def typed(self, key: str, time_ns: int) -> MarkKind | None:
+        """Return the mark that a key makes at a time [ns], None for a key that makes none.
+
+        The space bar that comes within `REACTION_S` of a begin or an end meant that one: it changes nothing more.
+        """
+        if key != SPACE:
+            return KEYS.get(key)
+        begins = self.open_episode is None
+        newest_ns = (self.episodes[-1].end_ns or self.episodes[-1].begin_ns) if self.episodes else None
+        if newest_ns is not None and time_ns - newest_ns < 1e9 * REACTION_S:
+            begins = not begins
+        return "begin" if begins else "end"
 
     def mark(self, mark: MarkKind, time_ns: int, by: MarkSource = "key", typed: str = "") -> Mark:
         """Return the mark as it is kept, after it did what it can do."""
@@ -58,26 +69,39 @@ class Session:
             return None, "no episode is under way: this end is kept and ends nothing"
         if not self.episodes:
             return None, f"no episode has begun: this {mark} is kept and judges nothing"
-        if mark == END:
-            return self._change(end_ns=time_ns), ""
-        if mark == DISCARD:
-            return self._change(discarded=True), ""
-        earlier = self.episodes[-1].outcome
-        note = f"episode {len(self.episodes)} was {earlier}, now {mark}" if earlier not in (None, mark) else ""
-        return self._change(outcome=mark), note
-
-    def _change(self, **fields: Any) -> int:
-        """Change the newest episode and return its number."""
-        self.episodes[-1] = self.episodes[-1].model_copy(update=fields)
-        return len(self.episodes)
+        judged = self.episodes[-1]
+        self.episodes[-1] = judged.model_copy(update=_judged(mark, time_ns))
+        is_another = judged.outcome is not None and mark not in (END, DISCARD, judged.outcome)
+        note = f"episode {judged.number} was {judged.outcome}, now {mark}" if is_another else ""
+        return judged.number, note
 
 
 def replay(marks: Iterable[Mark]) -> Session:
-    """Return the session that `marks`, in the order in which they were made, lead to."""
+    """Return the session that kept marks lead to, in the order in which they were made.
+
+    Each counts for the episode that it bears, so that marks which are lost, as with a damaged piece of a log, give no
+    episode another number. An episode whose begin is lost is missing; one whose end is lost has none.
+    """
+    episodes: dict[int, SessionEpisode] = {}
     session = Session()
     for mark in marks:
-        session.mark(mark.mark, mark.time_ns, mark.by, mark.typed)
+        session.marks.append(mark)
+        if mark.episode is None:
+            continue
+        if mark.mark == BEGIN:
+            episodes[mark.episode] = SessionEpisode(number=mark.episode, begin_ns=mark.time_ns)
+        elif mark.episode in episodes:
+            update = _judged(mark.mark, mark.time_ns)
+            episodes[mark.episode] = episodes[mark.episode].model_copy(update=update)
+    session.episodes = [episodes[number] for number in sorted(episodes)]
     return session
+
+
+def _judged(mark: MarkKind, time_ns: int) -> dict[str, Any]:
+    """Return what a mark that begins nothing changes of its episode."""
+    if mark == END:
+        return {"end_ns": time_ns}
+    return {"discarded": True} if mark == DISCARD else {"outcome": mark}
 
 
 @dataclass(frozen=True)

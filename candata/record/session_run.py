@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets.writing import write_text
-from candata.errors import DataError, Where
+from candata.errors import DataError, UsageError, Where
 from candata.record.log_messages import DRIFT, MARK
 from candata.record.logs import Log, LogWriter, read_log
 from candata.record.session import KEY_WORDS, SPACE, Session, SessionPlan, Touch, due_mark, replay
@@ -60,6 +60,23 @@ class RunningSession:
         self._start_ns: int | None = None
         self._is_over = False
         self._drift: DriftCheck | None = None
+
+    def check(self, fingertip_names: Sequence[str], is_calibrated: bool) -> None:
+        """Refuse episodes by contact where no force tells of one.
+
+        Raises
+        ------
+        UsageError
+            When the hand has no fingertips, or their forces at rest are not measured first.
+        """
+        if not self._plan.on_contact or (fingertip_names and is_calibrated):
+            return
+        raise UsageError(
+            "no episode can begin by contact",
+            expected="fingertips whose forces at rest are known",
+            found="forces that are not calibrated" if fingertip_names else "a hand without fingertips",
+            fix=f"leave out {'--no-calibrate or ' if fingertip_names else ''}--start-on-contact",
+        )
 
     def open(self, writer: LogWriter) -> None:
         """Take the log that the marks go to."""
@@ -126,7 +143,7 @@ class RunningSession:
 
     def _take_keys(self) -> None:
         for stamp_ns, key in self._keys():
-            mark = self._session.typed(key)
+            mark = self._session.typed(key, stamp_ns)
             if mark is not None and not (self._is_over and key == SPACE):
                 self._mark(mark, stamp_ns, "key", "space" if key == SPACE else key)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from candata.datasets.writing import write_text
+from candata.gap.blind.honesty import MEANINGS
 from candata.reports.chart import Axis, chart, dots, line
 from candata.reports.document import render_page
 from candata.reports.heat import confusion
@@ -50,6 +51,7 @@ def bench_page(bench: BenchFile) -> str:
         headline=f"{target_count - missed_count} of {target_count} targets met",
         head=HEAD,
         rows=_measure_rows(bench),
+        meanings=_meaning_rows(bench),
         confusion=confusion(bench.confusion) if bench.confusion else "",
         calibration=calibration(bench.calibration) if bench.calibration else "",
         miss_head=MISS_HEAD,
@@ -75,7 +77,13 @@ def calibration(bins: Sequence[Bin]) -> Markup:
 
 def _measure_rows(bench: BenchFile) -> list[tuple[str, ...]]:
     """Return the rows of the table."""
-    return [(row.measure, value_text(row), str(row.n), target_text(row), MARKS[row.is_met]) for row in bench.rows]
+    return [(row.measure, value_text(row), str(row.n), target_text(row), mark_text(row)) for row in bench.rows]
+
+
+def _meaning_rows(bench: BenchFile) -> list[tuple[str, str]]:
+    """Return what rows that need a word say."""
+    measures = [row.measure for row in bench.rows]
+    return [(part, meaning) for part, meaning in MEANINGS.items() if any(part in measure for measure in measures)]
 
 
 def _miss_rows(bench: BenchFile) -> list[tuple[str, ...]]:
@@ -104,6 +112,14 @@ def value_text(row: BenchRow) -> str:
     if row.value is None:
         return "-"
     return f"{row.value:.1f} {row.unit}" if row.unit else f"{row.value:.3f}"
+
+
+def mark_text(row: BenchRow) -> str:
+    """Return whether a row meets its target, and the interval of its value where it has one."""
+    if row.interval is None:
+        return MARKS[row.is_met]
+    digits = 1 if row.unit else 3
+    return f"{MARKS[row.is_met]} ({row.interval[0]:.{digits}f} to {row.interval[1]:.{digits}f})".strip()
 
 
 def target_text(row: BenchRow) -> str:

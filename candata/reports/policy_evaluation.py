@@ -109,12 +109,12 @@ def _classes(evaluation: PolicyEvaluation) -> dict[str, str]:
 
 
 def ranking_figure(evaluation: PolicyEvaluation) -> Markup:
-    """Return predicted over seen success, a dot for each policy and world with its interval; empty without any seen.
+    """Return predicted over seen success, a dot for each policy and world with its interval; empty without any pair.
 
     Those of one seen success stand side by side, policy by policy.
     """
     seen = {score.policy: score for score in evaluation.scores if score.world == evaluation.seen and score.total}
-    if not seen:
+    if not seen or not evaluation.rankings:
         return Markup("")
     ticks = tuple((k / 5, f"{20 * k} %") for k in range(6))
     places = _side_by_side(evaluation, {policy: score.success.value for policy, score in seen.items()})
@@ -122,7 +122,7 @@ def ranking_figure(evaluation: PolicyEvaluation) -> Markup:
     x, y = Axis(-margin, 1 + margin, ticks), Axis(-0.03, 1.03, ticks)
     marks = [line(x, y, [0.0, 1.0], [0.0, 1.0], "ideal")]
     for world, css_class in _classes(evaluation).items():
-        scores = [score for score in evaluation.scores if score.world == world and score.policy in seen]
+        scores = [s for s in evaluation.scores if s.world == world and s.policy in seen and s.total]
         truth = [seen[score.policy].success.value for score in scores]
         at_places = [places[score.policy, world] for score in scores]
         marks += [_upright(x, y, at, score.success, css_class) for at, score in zip(at_places, scores, strict=True)]
@@ -208,7 +208,8 @@ def _number_text(value: Interval) -> str:
 
 def _ends_row(score: PolicyScore) -> tuple[str, ...]:
     """Return how the episodes of a policy ended in one world."""
-    words = ", ".join(f"{name} {count}" for name, count in score.outcomes.items())
+    counts = score.outcomes | ({"unstable": score.unstable} if score.unstable else {})
+    words = ", ".join(f"{name} {count}" for name, count in counts.items())
     spread = "" if score.spread_m is None else f"{1000 * score.spread_m:.1f} mm"
     return score.policy, score.world, words, spread
 

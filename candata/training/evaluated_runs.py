@@ -193,10 +193,13 @@ def split_of(evaluated: Sequence[EvaluatedRun], dataset: Dataset) -> tuple[Split
 
 
 def _own_split(evaluated: EvaluatedRun, dataset: Dataset) -> Split | None:
-    """Return the split by which a run was trained on this dataset; None where it was not."""
+    """Return the split by which a run was trained on this dataset or an earlier version of it; None where it was not.
+
+    What was appended since belongs to none of its groups.
+    """
     run, folder = evaluated.run, evaluated.checkpoint.path.parent
-    splits = runs.read_splits(folder, run)
-    source_index = next((i for i, source in enumerate(run.trained_on) if source.digest == dataset.digest), None)
+    splits, digests = runs.read_splits(folder, run), dataset.digests
+    source_index = next((i for i, source in enumerate(run.trained_on) if source.digest in digests), None)
     if source_index is None:
         return None
     if splits is not None:

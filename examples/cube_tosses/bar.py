@@ -21,6 +21,7 @@ from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.rest_scale import length_scale
 from candata.gap.starts import Starts, starts
+from candata.gap.streams import Streams
 from candata.rotation import difference
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
@@ -87,7 +88,7 @@ def main() -> None:
         train, test = order[:SEARCHED], order[SEARCHED:]
         fixed = (CONE,) if "cone" in given.effects else ()
         if "lengths" in given.effects:
-            found = length_scale(scene, recs.take(train), begin.take(train), np.random.default_rng(seed)).scale
+            found = length_scale(scene, recs.take(train), begin.take(train), Streams(seed)).scale
             value = found.value if found else 1.0
             fixed += (EffectSetting(name="pose_scale", parameters={"scale": value}),)
         world = fit(replayer, recs.take(train), begin.take(train), names, fixed)

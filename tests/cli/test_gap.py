@@ -7,8 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from candata.datasets import open_dataset
 from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
+from candata.gap.blind.cases import read_cases
+from candata.gap.blind.draws import NOISES
+from candata.gap.blind.running import Answer
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
@@ -24,7 +28,7 @@ def quiet(monkeypatch):
 
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-        return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+        return Answer(Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts)), 3.0)
 
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
 
@@ -121,6 +125,7 @@ def test_labels_that_were_changed_are_refused(bench, quiet, tmp_path):
         (("--counts", "one=many"), "like one=120,null=40"),
         (("--baselines", "oracel"), "did you mean 'oracle'?"),
         (("--only", "object_mas"), "did you mean 'object_mass'?"),
+        (("--noise", "undeclred"), "did you mean 'undeclared'?"),
     ],
 )
 def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
@@ -128,6 +133,35 @@ def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
     assert (done.code, done.out) == (2, "")
     assert text in done.err
     assert not (tmp_path / "b").exists()
+
+
+def test_kept_cases_are_the_same_again_and_wait_to_be_diagnosed(quiet, tmp_path):
+    command = ("gap", "bench", *SMALL, *FEW, "--keep")
+    first = run(*command, tmp_path / "a")
+    assert first.code == 0
+    assert first.out == f"3 cases are kept in {tmp_path / 'a'}\n"
+    assert not (tmp_path / "a" / "results.jsonl").exists()
+    kept = (tmp_path / "a" / "sealed.json").read_bytes()
+    digests = {path.name: open_dataset(path).digest for path in read_cases(tmp_path / "a" / "cases")}
+    assert run(*command, tmp_path / "b", "--out", tmp_path / "score").code == 0
+    assert (tmp_path / "b" / "sealed.json").read_bytes() == kept
+    assert {path.name: open_dataset(path).digest for path in read_cases(tmp_path / "b" / "cases")} == digests
+    again = run("gap", "score", tmp_path / "a", "--out", tmp_path / "again", "--jobs", 1)
+    assert again.out.startswith("cube_toss: 3 of 3 cases")
+    pair = run("gap", "compare", tmp_path / "score", tmp_path / "again", "--json")
+    assert json.loads(pair.out)["cases"] == 3
+
+
+def test_a_bench_without_a_folder_or_with_one_for_two_things_is_refused(tmp_path):
+    for folders, text in (
+        ((), "no folder for the cases"),
+        (("--out", tmp_path / "x", "--keep", tmp_path / "x"), "are one folder"),
+    ):
+        done = run("gap", "bench", *SMALL, *folders)
+        assert (done.code, done.out) == (2, "")
+        assert text in done.err
+    done = run("gap", "score", tmp_path, "--out", tmp_path / "s")
+    assert "no labels for the cases" in done.err
 
 
 RANDOM = ("--world", "random-small", "--jobs", 1, "--episodes", 2, "--duration-s", 1.2)
@@ -145,8 +179,18 @@ def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_pat
     assert json.loads(run(*command, "--json").out)["done"] == 2
     labels, out = tmp_path / "b" / "sealed.json", tmp_path / "score"
     assert run("gap", "score", tmp_path / "b" / "cases", "--labels", labels, "--out", out, "--jobs", 1).code == 0
+    refused = run("gap", "score", tmp_path / "b", "--out", out, "--fresh", 5, "--jobs", 1)
+    assert (refused.code, refused.out) == (2, "")
+    assert "no fresh episodes can be recorded" in refused.err
     pair = run("gap", "compare", tmp_path / "b", out)
-    assert pair.out.splitlines()[1].split()[:6] == ["2", "2", "0", "0", "0", "1"]
+    lines = pair.out.splitlines()
+    assert lines[0].startswith("B is right in as many of 2 cases as A (p = 1), costs ")
+    assert [line.split() for line in lines[4:7]] == [
+        ["kind", "cases", "both", "right", "only", "A", "only", "B", "p"],
+        ["null", "2", "2", "0", "0", "1"],
+        ["all", "2", "2", "0", "0", "1"],
+    ]
+    assert any(line.split()[:7] == ["replays", "a", "case,", "median", "2", "3.0", "3.0"] for line in lines)
     assert json.loads(run("gap", "compare", tmp_path / "b", out, "--json").out)["both_right"] == 2
 
 
@@ -159,6 +203,7 @@ def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_pat
         (("--world", "random-small", "--traits", "springy"), "did you mean 'spring'?"),
         (("--world", "random-small", "--kinds", "pair"), "null, one"),
         (("--world", "random-small", "--only", "backlash"), "planted cause"),
+        (("--world", "random-small", "--noise", "mixed"), "whether their noise is declared"),
     ],
 )
 def test_what_a_random_small_world_does_not_take_is_refused(tmp_path, wrong, text):
@@ -176,5 +221,6 @@ def test_missing_cases_are_refused(tmp_path):
 
 def test_the_help_lists_the_kinds_and_baselines_that_there_are():
     assert gap_commands.BASELINES == BASELINES
+    assert tuple(NOISES) == gap_commands.NOISES
     text = run("gap", "bench", "--help").out
     assert all(word in " ".join(text.split()) for word in (*gap_commands.KINDS, "Examples:"))

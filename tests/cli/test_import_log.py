@@ -12,11 +12,12 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from candata.datasets import open_dataset
+from candata.datasets import get_cloud, open_dataset
 from candata.record.calibration import calibrate
 from candata.record.devices import Commands, States, device
 from candata.record.logs import LogWriter, meta_of
 from candata.scenes import load_scene
+from candata.scenes.clouds import surface_cloud
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
 from candata.simulate.episodes import EpisodeJob, make_episodes
@@ -148,6 +149,12 @@ def test_what_was_sent_comes_back(sent, imported):
     assert np.array_equal(episode["taxels"], sent.taxels[rows])
 
 
+def test_the_shape_of_the_scenes_object_comes_along(sent, imported):
+    """A model that was trained on simulations of the scene can be fine-tuned on what was recorded."""
+    meta = open_dataset(imported).episode("run").meta
+    assert np.array_equal(get_cloud(imported, meta.point_cloud), surface_cloud(load_scene(SCENE)))
+
+
 def test_forces_are_what_was_sent_within_half_a_count(sent, imported):
     (episode,) = open_dataset(imported)
     hand = device("xhand")
@@ -232,6 +239,14 @@ def test_the_same_log_twice_adds_nothing(sent, tmp_path, capsys):
     assert open_dataset(out).episode("strict").meta.object == "can"
 
 
+def test_what_else_is_known_of_an_episode_is_kept(sent, tmp_path):
+    words = ("--outcome", "success", "--label", "start=0007", "--label", "mass_kg=0.25", "--label", "side=nan")
+    assert exit_code("import", "log", sent.log, "--episode", "told", *words, "--out", tmp_path / "ds") == 0
+    meta = open_dataset(tmp_path / "ds").episode("told").meta
+    assert meta.outcome == "success"
+    assert meta.labels == {"start": "0007", "mass_kg": 0.25, "side": "nan"}
+
+
 def test_several_logs_are_one_version(tmp_path, played, capsys):
     logs = [send(tmp_path, played, log_name=f"run{i}.mcap", bias=(i, i, i)).log for i in range(2)]
     assert exit_code("import", "log", *logs, "--rate", "40", "--out", tmp_path / "ds") == 0
@@ -273,6 +288,9 @@ def empty(folder: Path) -> Path:
         (lambda sent, folder: [sent.log, "--newton-per-count", "-1"], "newton_per_count"),
         (lambda sent, folder: [sent.log, "--allow-gaps"], "`import log` takes no --allow-gaps"),
         (lambda sent, folder: [sent.log, sent.log, "--episode", "x"], "--episode names one episode"),
+        (lambda sent, folder: [sent.log, "--outcome", "sucess"], "success"),
+        (lambda sent, folder: [sent.log, "--label", "start"], "--label is no new name with its value"),
+        (lambda sent, folder: [sent.log, "--label", "a=1", "--label", "a=2"], "--label is no new name with its value"),
     ],
 )
 @pytest.mark.parametrize("standing", [False, True])

@@ -48,6 +48,11 @@ def test_no_command_prints_help_with_an_example_session(capsys):
     assert "Exit codes: 0 fine" in text
 
 
+def test_policies_are_evaluated_before_their_chunks_are_filtered_and_refined():
+    policy = typer.main.get_command(entry.build()).commands["policy"]
+    assert list(policy.commands) == ["evaluate", "filter", "refine"]
+
+
 def test_every_command_shows_an_example_of_itself():
     def leaves(command, path=("candata",)):
         for name, one in getattr(command, "commands", {}).items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,10 @@ import pytest
 from candata.datasets import open_dataset
 from candata.record.calibration import calibrate
 from candata.record.devices import States, hand
-from candata.record.logs import LogWriter, meta_of
+from candata.record.import_recipe import ImportRecipe
+from candata.record.import_session import cut_episodes
+from candata.record.importing import import_log
+from candata.record.logs import LogWriter, meta_of, read_log
 from candata.record.session import Session
 from candata.record.session_run import LOG_NAME
 from tests.cli.command import run
@@ -41,7 +45,8 @@ def session(tmp_path):
     writer.states(stamps_ns.tolist(), states)
     marks = Session()
     for second, key in KEYS:
-        kept = marks.mark(marks.typed(key), 10**9 + round(second * 1e9), "key", key)
+        stamp_ns = 10**9 + round(second * 1e9)
+        kept = marks.mark(marks.typed(key, stamp_ns), stamp_ns, "key", key)
         writer.event(kept.time_ns, {"event": "mark", **kept.model_dump(mode="json", exclude={"time_ns"})})
     writer.close()
     return folder
@@ -73,6 +78,17 @@ def test_each_mark_is_an_episode_and_another_recipe_a_new_version(session, tmp_p
     assert rules == [None, 0.2]
 
 
+def test_marks_that_are_lost_with_a_damaged_chunk_rename_no_episode(session):
+    log = read_log(session / LOG_NAME)
+    whole = import_log(session / LOG_NAME, log, ImportRecipe(episode="monday"))
+    marks = [event["mark"] for _, event in log.events]
+    for lost in (marks.index("begin"), marks.index("end")):
+        damaged = replace(log, events=log.events[:lost] + log.events[lost + 1 :])
+        cut = cut_episodes(whole, damaged)
+        assert [(e.meta.id, e.meta.outcome) for e in cut.episodes] == [("monday-0003", "drop")]
+        assert any("lacks their begin or end: episodes 1" in note for note in cut.notes)
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
@@ -80,6 +96,8 @@ def test_each_mark_is_an_episode_and_another_recipe_a_new_version(session, tmp_p
         ((), "give --out LOG, or --session DIR"),
         (("--out", "a", "--episodes", 2), "only a session takes --episodes"),
         (("--session", "b", "--episodes", 2), "--episodes needs the length of an episode"),
+        (("--session", "b", "--start-on-contact", "--no-calibrate"), "no episode can begin by contact"),
+        (("--out", "a", "--silence", 5), "only a session takes --silence"),
         (("--session", "b", "--gap", 2), "--gap does nothing in a session by keys"),
         (("--session", "b", "--threshold", 0.2, "--release", 0.3), "do not make a rule of contact"),
     ],

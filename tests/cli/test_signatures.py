@@ -58,6 +58,7 @@ def test_they_are_kept_where_a_diagnosis_looks(short, tmp_path, monkeypatch):
         (("gap", "signatures", "{short}", "--scene", "nowhere.yaml"), "nowhere.yaml"),
         (("gap", "signatures", "nowhere", *HAND), "nowhere"),
         (("diagnose", "{short}", *HAND, "--out", "out", "--no-cache", "--cache-dir", "x"), "with --no-cache"),
+        (("diagnose", "{short}", *HAND, "--out", "out", "--no-cache", "--shared-signatures"), "with --no-cache"),
     ],
 )
 def test_what_is_wrong_is_said(short, tmp_path, monkeypatch, line, text):
@@ -71,7 +72,8 @@ def test_what_is_wrong_is_said(short, tmp_path, monkeypatch, line, text):
 def test_a_bench_first_keeps_what_its_cases_share_and_tells_the_cost(tmp_path, monkeypatch):
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-        return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+        report = Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+        return running.Answer(report)
 
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
     # The secret is fixed: some draws give two nulls that start apart and share no signatures.

@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 
 @pytest.fixture(scope="session")
 def loaded() -> Callable[[str], ModuleType]:
-    """The function that returns a script of the examples as a module, by its path there."""
+    """The function that returns a script of the examples as a module, by its path there; it finds its neighbours."""
 
     def load(path: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(f"example_{Path(path).stem}", FOLDER / path)
@@ -23,7 +23,9 @@ def loaded() -> Callable[[str], ModuleType]:
         assert spec.loader is not None
         made = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = made
-        spec.loader.exec_module(made)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend((FOLDER / path).parent)
+            spec.loader.exec_module(made)
         return made
 
     return load

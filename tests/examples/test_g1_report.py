@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
-from candata.gap.servo_response import ServoResponse
 
-
-def response(joint: str, **change: object) -> ServoResponse:
+def response(joint: str, **change: object) -> SimpleNamespace:
     values = {"lag_s": 0.2, "lag_low_s": 0.18, "lag_high_s": 0.23, "delay_s": 0.1, "bandwidth_hz": 1.2, "gain": 0.98}
     rest = {"r2": 0.99, "motion": 0.15, "why_not": ""}
-    return ServoResponse(joint, **{**values, **rest, **change})
+    return SimpleNamespace(joint=joint, identifiable=not change.get("why_not"), **{**values, **rest, **change})
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from candata.gap.replay import Replayer
 from candata.gap.residuals import Layout
 from candata.gap.score import Score, score
 from candata.gap.search import Members, Problem
+from candata.gap.streams import Streams
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
@@ -56,7 +57,7 @@ ALIKE = frozenset(
 
 def step_problem(arm: Scene, recs: Recordings) -> Problem:
     """The problem that recordings of the arm pose to a single step of the search, without `ALIKE`."""
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     return replace(problem, ruled_out=ALIKE)
 
 

@@ -120,12 +120,12 @@ def test_what_was_measured_takes_no_place_in_the_set(cube):
 @pytest.mark.parametrize(("labels", "left", "grows"), [("ac", True, True), ("ac", False, False), ("abc", True, False)])
 def test_beside_one_in_place_of_two_the_search_goes_on_where_a_gap_remains(monkeypatch, labels, left, grows):
     three, found = SimpleNamespace(labels=tuple("abc")), SimpleNamespace(labels=tuple(labels))
-    grown = (SimpleNamespace(labels=tuple("acd")), "its world", False)
+    grown = (SimpleNamespace(labels=tuple("acd")), "its world", False), "a force"
     monkeypatch.setattr(attribute, "by_choice", lambda *a: a)
     monkeypatch.setattr(attribute, "merged", lambda *a: (found, "its world", left))
     monkeypatch.setattr(attribute, "forward", lambda world, best, alone, doubt: grown)
     after = attribute._as_one("world", three, True, ())
-    assert after == (grown if grows else (found, "its world", left))
+    assert after == (grown if grows else ((found, "its world", left), None))
 
 
 def left(*labels: str, floors: float) -> SimpleNamespace:

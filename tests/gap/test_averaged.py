@@ -19,6 +19,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.shortlist import brief
 from candata.gap.stage import Stage
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 
 #: The fault that one replay hides: one fingertip's rolling friction [m], at a place of the range it is drawn from.
@@ -36,7 +37,7 @@ def posed(gripper, played):
 
     def make(effects, *names, count=20, duration_s=2.4):
         recs = recordings(gripper, played(gripper, effects, count=count, duration_s=duration_s))
-        problem = _problem(Replayer(gripper), recs, np.random.default_rng(0), None, lambda stage: None)
+        problem = _problem(Replayer(gripper), recs, Streams(0), None, lambda stage: None)
         part, _ = brief(problem)
         responses, _ = respond(part, part.nominal, [candidate(n, gripper) for n in names])
         base = problem.score.loss(problem.nominal)
@@ -84,7 +85,7 @@ def test_of_a_null_world_nothing_is_named(null):
 
 def test_a_null_world_has_one_floor_in_the_mean(null):
     problem, _ = null
-    assert Averaged(problem, 1).sizes([None], 8).mean() == pytest.approx(1.0, abs=0.03)
+    assert Averaged(problem).sizes([None], 8).mean() == pytest.approx(1.0, abs=0.03)
 
 
 def test_the_mean_varies_less_than_one_replay_does(posed, gripper):
@@ -94,7 +95,7 @@ def test_the_mean_varies_less_than_one_replay_does(posed, gripper):
     point = (c, np.log([0.0025]))
     one, eight = [], []
     for seed in range(4):
-        many = Averaged(problem, seed)
+        many = Averaged(replace(problem, streams=Streams(seed)))
         nominal, own = (many.losses([m], 8) for m in (None, point))
         eight.append(float((nominal - own).mean()))
         one += [float((many.losses([None], k + 1, k) - many.losses([point], k + 1, k)).mean()) for k in range(8)]
@@ -103,11 +104,11 @@ def test_the_mean_varies_less_than_one_replay_does(posed, gripper):
 
 def test_worlds_follow_the_same_noise_and_are_played_once(null, monkeypatch):
     problem, _ = null
-    many = Averaged(problem, 3)
+    many = Averaged(problem)
     twice = many.losses([None, None], 2)
     assert np.array_equal(twice[0], twice[1])
-    assert np.array_equal(Averaged(problem, 3).losses([None], 2), twice[:1])
-    assert not np.array_equal(Averaged(problem, 4).losses([None], 2), twice[:1])
+    assert np.array_equal(Averaged(problem).losses([None], 2), twice[:1])
+    assert not np.array_equal(Averaged(replace(problem, streams=Streams(4))).losses([None], 2), twice[:1])
     each = [many.losses([None], k + 1, k)[0] for k in range(2)]
     assert twice[0] == pytest.approx(np.mean(each, axis=0))
     monkeypatch.setattr(averaged, "replay_all", lambda *a: pytest.fail("played again"))
@@ -179,7 +180,7 @@ def told(problem, gripper, label, losses):
 def replays(null):
     """Replays of the null problem that are played once for all tests."""
     problem, _ = null
-    return Averaged(problem, 0)
+    return Averaged(problem)
 
 
 @pytest.mark.parametrize(
@@ -187,7 +188,7 @@ def replays(null):
 )
 def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, replays, gripper, monkeypatch, more, found):
     problem, _ = null
-    monkeypatch.setattr(averaged, "_of", lambda problem: replays)
+    monkeypatch.setattr(averaged, "Averaged", lambda problem: replays)
     spread = 0.01 * np.random.default_rng(0).standard_normal(20)
     whole = told(problem, gripper, "torsional_friction", 1.05 + spread)
     tip = told(problem, gripper, "torsional_friction left_tip", 1.05 - more - spread)

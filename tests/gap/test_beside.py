@@ -21,6 +21,7 @@ from candata.gap.screen import respond, screening
 from candata.gap.shortlist import brief, looked_into
 from candata.gap.signatures import Library
 from candata.gap.stage import Stage, as_simulated, look
+from candata.gap.streams import Streams
 from candata.gap.together import Sum
 from candata.gap.wanted import wanted
 from tests.effects.gripper import ROLES, write_scene
@@ -33,7 +34,7 @@ def late(arm, arm_episodes, planted):
     """The problem that an arm with a delay of 0.12 s and dry joints poses, and the fit of the delay alone."""
     effects = (*planted("actuation_delay", delay_s=0.12), *planted("joint_dry_friction", frictionloss_Nm=0.3))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     delay = (candidate("actuation_delay", arm), np.full(1, 0.12))
     return problem, joint(problem, (delay,), problem.score.loss(problem.nominal))
 
@@ -43,7 +44,7 @@ def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation
     if not looked_again:
         monkeypatch.setattr(sets, "BELIEVED", -np.inf)
     problem, delay = late
-    found, _, _ = sets.forward(problem, delay, ())
+    (found, _, _), _ = sets.forward(problem, delay, ())
     assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is looked_again
 
 
@@ -95,7 +96,7 @@ def test_what_is_left_of_a_large_gap_is_simulated_too_where_signatures_promise_n
     monkeypatch.setattr(sets, "has_room", lambda best: False)
     monkeypatch.setattr(sets, "gains_share", lambda problem, here, found, held: False)
     monkeypatch.setattr(sets, "FAINT", faint)
-    found, _, _ = sets.forward(problem, fit, ())
+    (found, _, _), _ = sets.forward(problem, fit, ())
     assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is named
 
 
@@ -209,7 +210,7 @@ def test_beside_a_choice_what_is_held_moves_by_simulated_slopes(tmp_path, played
     scene = write_scene(tmp_path, roles=ROLES + NOISE)
     effects = (*planted("friction_cone", cone="pyramidal"), *planted("impratio", impratio=0.1))
     recs = recordings(scene, played(scene, effects, policies=("grasp_lift_shake", "push")))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
     impratio, cone = (candidate(name, scene) for name in ("impratio", "friction_cone"))
     alone = joint(problem, ((impratio, np.log([0.1])),), base)
@@ -226,7 +227,7 @@ def slippery(tmp_path_factory, played, planted):
     """The problem that a gripper with slippery fingertips poses."""
     scene = write_scene(tmp_path_factory.mktemp("gripper"), roles=ROLES + NOISE)
     recs = recordings(scene, played(scene, planted("sliding_friction", scale=0.3), policies=("squeeze",)))
-    return _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    return _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
 
 
 READ = ("tactile_bias", "tactile_gain", "tactile_lag", "tactile_dead_band")
@@ -312,7 +313,7 @@ def test_an_ordered_choice_is_fitted_outwards_while_it_explains_more(arm, monkey
 def test_a_choice_is_fitted_however_far_it_is_where_it_begins(arm, arm_episodes, planted):
     effects = (*planted("integrator", integrator="euler"), *planted("joint_dry_friction", frictionloss_Nm=0.3))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     dry, damped, choice = (candidate(n, arm) for n in ("joint_dry_friction", "joint_damping", "integrator"))
     held = ((dry, np.full(1, 0.2)), (damped, np.full(1, 0.05)))
     euler = ((choice, choice.low), (dry, np.full(1, 0.1)))

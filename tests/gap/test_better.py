@@ -75,7 +75,7 @@ def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word,
     found = SimpleNamespace(
         first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None, chosen=None, doubt=None
     )
-    some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), (), None)
+    some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), ())
     assert some == ("armature" if asked else None)
 
 
@@ -83,7 +83,7 @@ def test_a_force_that_ended_the_search_unseats_what_was_found_until_then(monkeyp
     monkeypatch.setattr(conclusion, "unseating", lambda *a: pytest.fail("it is played again"))
     monkeypatch.setattr(conclusion, "described", lambda force, world, where, nearest: (force, nearest))
     found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force="a pull")
-    some = conclusion._unseated(SimpleNamespace(found=found), "explained", Gap(before=3.0, after=1.2), (), None)
+    some = conclusion._unseated(SimpleNamespace(found=found), "explained", Gap(before=3.0, after=1.2), ())
     assert some == ("a pull", "armature")
 
 
@@ -145,7 +145,7 @@ def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeyp
         problem=SimpleNamespace(setting=lambda members: ()),
         scene=None,
     )
-    found = conclusion._unseated(some, "explained", Gap(before=1.4, after=1.06, closed=0.85), (), None)
+    found = conclusion._unseated(some, "explained", Gap(before=1.4, after=1.06, closed=0.85), ())
     assert found == ("a wind" if asked else None)
 
 
@@ -164,8 +164,8 @@ def test_a_force_is_played_once_in_the_nominal_world_for_both_questions_if_it_ma
         scene=None,
     )
     named = Gap(before=3.0, after=1.7, closed=0.65)
-    assert conclusion._unseated(some, "explained", named, (), "rng") is None
-    assert played == [("in the named world's floors", (), "rng")][: 1 if close >= 0.65 else 0]
+    assert conclusion._unseated(some, "explained", named, ()) is None
+    assert played == [("in the named world's floors", ())][: 1 if close >= 0.65 else 0]
 
 
 def test_of_an_unknown_cause_the_force_is_described_that_the_search_has_played(monkeypatch):
@@ -173,6 +173,6 @@ def test_of_an_unknown_cause_the_force_is_described_that_the_search_has_played(m
     monkeypatch.setattr(conclusion, "described", lambda force, world, where, nearest: (force, world, nearest))
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),))
     for force, said in (("a pull", ("a pull", (), "armature")), (None, None)):
-        doubt = SimpleNamespace(force=lambda force=force: force)
+        doubt = SimpleNamespace(lone=SimpleNamespace(of_all=force))
         some = SimpleNamespace(found=SimpleNamespace(first=first, doubt=doubt))
-        assert conclusion._rest(some, "unknown_effect", (), (), None) == said
+        assert conclusion._rest(some, "unknown_effect", (), ()) == said

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from candata.gap.blind.cases import (
     scene_of,
     seal_labels,
 )
-from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Place, finished, run_cases
+from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Answer, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
 from candata.policies import policy
@@ -31,6 +33,7 @@ from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
+from candata.statistics import noise_sd
 from tests.gap.conftest import ARM, ROLES
 
 SALT = "ab" * 32
@@ -55,7 +58,7 @@ def places(run):
 def silent(dataset, scene, seed, cache):
     """Find nothing."""
     counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-    return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
+    return Answer(Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts)))
 
 
 def test_the_labels_are_for_the_owner_only(run):
@@ -104,6 +107,8 @@ def test_the_same_command_takes_what_stands_and_another_is_refused(run, cube):
     with pytest.raises(UsageError, match="asked for something else") as caught:
         seal_labels(run, cube, COUNTS | {"one": 3}, **SMALL)
     assert "count_one 2" in str(caught.value)
+    with pytest.raises(UsageError, match="drawn from another salt"):
+        seal_labels(run, cube, COUNTS, salt="cd" * 32, **SMALL)
 
 
 def test_a_random_salt_draws_other_cases_for_the_same_seed(tmp_path, cube):
@@ -167,6 +172,36 @@ def test_a_diagnosis_that_fails_is_a_result(run, tmp_path):
 
     (result,) = run_cases(tmp_path, places(run)[:1], judge=failing)
     assert (result.report, result.error) == (None, "nothing to compare")
+
+
+def hearing(told, noise, dataset, scene, seed, cache):
+    """Find nothing, and keep the scene that was told."""
+    told[noise] = scene
+    return silent(dataset, scene, seed, cache)
+
+
+def test_noise_that_is_not_as_declared_is_in_the_recordings_and_a_diagnosis_is_not_told(tmp_path, cube):
+    sizes, told = {}, {}
+    for noise in ("declared", "misdeclared", "undeclared"):
+        sealed = seal_labels(tmp_path / noise, cube, {"null": 1}, noise=noise, salt=SALT, **SMALL)
+        (path,) = make_cases(tmp_path / noise, SCENE, sealed, **SMALL)
+        (case,) = read_cases(path.parent).values()
+        (label,) = open_labels({path: case}, sealed).values()
+        pose = np.concatenate([e["object_pose"][:, :3] for e in open_dataset(path)])
+        sizes[noise] = noise_sd(pose, 0, 0).mean() / label.noise_factor
+        place = Place(path, SCENE, case.sealed, case.noise_declared)
+        run_cases(tmp_path / noise, [place], judge=partial(hearing, told, noise))
+    assert told["undeclared"].file.noise is None
+    assert told["misdeclared"].file.noise == told["declared"].file.noise == cube.file.noise
+    # Of some 60 rows each a spread is known to a tenth; a throw's own bend adds little.
+    assert sizes["misdeclared"] == pytest.approx(sizes["declared"], rel=0.3)
+    assert sizes["undeclared"] == pytest.approx(sizes["declared"], rel=0.3)
+
+
+def test_noise_cannot_be_withheld_by_a_scene_that_declares_none(tmp_path, arm):
+    silent_scene = replace(arm, file=arm.file.model_copy(update={"noise": None}))
+    with pytest.raises(UsageError, match="declares no noise"):
+        seal_labels(tmp_path, silent_scene, {"null": 1}, noise="undeclared", **SMALL)
 
 
 def test_a_scene_file_is_found_from_its_case(tmp_path, run):

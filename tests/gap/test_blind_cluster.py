@@ -20,7 +20,7 @@ from candata.simulate.cluster import on_ray
 SMALL = {"seed": 1, "episodes": 2, "duration_s": 0.4}
 SCENE = "cube_toss"
 #: What no two runs share.
-OWN = {"cpu_s", "process", "cold"}
+OWN = {"cpu_s", "process", "cold", "replays"}
 
 
 @pytest.fixture(scope="module")

@@ -127,3 +127,16 @@ def test_a_scene_without_elements_or_object_draws_what_it_can(arm):
     found = draw_labels(arm, {"one": 10, "outside": 6, "solver": 4}, np.random.default_rng(1))
     assert {one.outside.acts_on for one in of(found, "outside")} == {"joint"}
     assert all(len(one.effects) == 1 for one in of(found, "solver"))
+
+
+def test_a_mixture_of_noise_takes_turns_in_each_kind_and_changes_nothing_else_that_is_drawn(hand):
+    counts = {"one": 3, "null": 6}
+    mixed = draw_labels(hand, counts, np.random.default_rng(1), noise="mixed")
+    for kind, count in counts.items():
+        assert set(Counter(label.noise for label in of(mixed, kind)).values()) == {count // 3}
+    factors = [label.noise_factor for label in mixed if label.noise == "misdeclared"]
+    assert all(0.5 <= factor <= 2 for factor in factors)
+    assert len(set(factors)) == 3
+    assert {label.noise_factor for label in mixed if label.noise != "misdeclared"} == {1.0}
+    plain = draw_labels(hand, counts, np.random.default_rng(1))
+    assert "noise" not in plain[0].model_dump_json()

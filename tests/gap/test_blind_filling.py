@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -81,18 +82,21 @@ def test_what_a_diagnosis_keeps_a_filling_has_kept_bit_for_bit_and_a_diagnosis_a
 ):
     data = open_dataset(damped)
     planned(of(damped, arm, tmp_path))  # a library that is begun is shared
-    cold = diagnose(data, arm, cache=tmp_path, only=ONLY)
+    cold = diagnose(data, arm, cache=tmp_path, only=ONLY, shared_signatures=True)
     asked = len(simulated)
     ours, theirs = kept(tmp_path), kept(filled)
     assert asked > 20
     assert set(ours) <= set(theirs)
     assert all(same(ours[name], theirs[name]) for name in ours)
-    warm = diagnose(data, arm, cache=filled, only=ONLY)
+    warm = diagnose(data, arm, cache=filled, only=ONLY, shared_signatures=True)
     assert len(simulated) == asked
     assert warm.report == cold.report
+    assert any("signatures" in note for note in warm.report.data.notes), "the report says what it was drawn from"
 
 
-def test_a_diagnosis_of_its_own_sees_effects_on_the_recording_and_keeps_that(damped, arm, simulated, tmp_path):
+def test_a_diagnosis_of_its_own_says_the_same_with_no_cache_a_cold_a_warm_and_a_filled_one(
+    damped, arm, filled, simulated, tmp_path
+):
     data = open_dataset(damped)
     fresh = diagnose(data, arm, only=ONLY)
     cold = diagnose(data, arm, cache=tmp_path, only=ONLY)
@@ -100,15 +104,18 @@ def test_a_diagnosis_of_its_own_sees_effects_on_the_recording_and_keeps_that(dam
     warm = diagnose(data, arm, cache=tmp_path, only=ONLY)
     assert simulated == []
     assert warm.report == cold.report == fresh.report
+    assert fresh.replays == cold.replays > warm.replays > 1, "what was kept is not simulated again"
     assert fresh.report.effects[0].name == "joint_damping"
     assert len(made) > 20
     assert made == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")}
+    others = shutil.copytree(filled, tmp_path / "filled")
+    assert diagnose(data, arm, cache=others, only=ONLY).report == fresh.report, "nobody asked for what is shared"
 
 
 def test_the_least_filling_is_the_first_look(damped, arm, simulated, tmp_path):
     plan = planned(of(damped, arm, tmp_path), "first")
     list(alone(keep_signature, plan.tasks))
-    problem = posed(open_dataset(damped), Replayer(arm), 0, tmp_path, ONLY).problem
+    problem = posed(open_dataset(damped), Replayer(arm), 0, tmp_path, ONLY, share=None).problem
     part, index = brief(problem)
     some = [c for c in candidates(arm, list(problem.recs.readings)) if c.name in ONLY]
     done = len(simulated)

@@ -24,6 +24,7 @@ from candata.gap.replay import Replayer
 from candata.gap.search import Problem
 from candata.gap.shrink import held_out
 from candata.gap.stage import Stage
+from candata.gap.streams import Streams
 from candata.repair import export_mjcf
 from candata.reports import summary, write_diagnosis
 from candata.scenes import Scene, load_scene
@@ -109,7 +110,7 @@ def episodes(scene: Scene, effects=()) -> list[Episode]:
 def findings_of(scene: Scene, effects) -> Findings:
     """What a search that explains nothing leaves, after many replays."""
     recs = recordings(scene, episodes(scene, effects))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     problem = replace(problem, ruled_out=frozenset(effect_names()) - {*WRONG, *SOUND})
     problem.sofar.episodes_replayed = 1200 * len(recs)
     base = problem.score.loss(problem.nominal)
@@ -222,7 +223,7 @@ def test_a_fit_that_was_judged_is_kept_where_the_replays_end(wrong):
     """Idle quantities and all: nothing is left to fit the others again without them."""
     possible = candidates(wrong.scene, wrong.problem.recs.channels)
     kinds = [c for c in possible if not c.choices and c.name in {*WRONG, *SOUND}]
-    fitted = joint_fit(replace(wrong.problem, rng=np.random.default_rng(0)), kinds, (), 80.0)
+    fitted = joint_fit(replace(wrong.problem, streams=Streams(0)), kinds, (), 80.0)
     assert fitted is not None
     assert fitted.fit.gain > 0.2 * wrong.problem.score.loss(wrong.problem.nominal).mean()
     assert set(SOUND) & {c.name for c, _ in fitted.fit.members}

@@ -307,7 +307,7 @@ def test_a_set_that_one_member_explains_is_reported_as_that_effect(arm, arm_epis
     def too_many(problem, best, alone, rough=(), doubt=None):
         values = {"joint_dry_friction": 0.25, "joint_damping": 0.02}
         members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
-        return joint(problem, members, problem.score.loss(problem.nominal)), problem, False
+        return (joint(problem, members, problem.score.loss(problem.nominal)), problem, False), None
 
     monkeypatch.setattr(attribute, "forward", too_many)
     report = judge(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12), only=FEW).report
@@ -330,7 +330,7 @@ def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge,
             return true(problem, best, alone, rough, doubt)
         values = {"joint_damping": 0.3, "actuation_delay": 0.03}
         members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
-        return joint(problem, members, problem.score.loss(problem.nominal)), problem, True
+        return (joint(problem, members, problem.score.loss(problem.nominal)), problem, True), None
 
     monkeypatch.setattr(attribute, "forward", wrong_at_first)
     monkeypatch.setattr(attribute, "jointly", lambda world, best: (best, world, True))

@@ -21,6 +21,7 @@ def test_a_planted_cone_is_named(elliptic):
     assert (cone.value, cone.low, cone.high) == ("elliptic", None, None)
     assert report.gap.closed >= 0.8
     assert elliptic.effects.effects[0].parameters == {"cone": "elliptic"}
+    assert elliptic.replays > 10, "each of the effects was simulated on the recordings"
 
 
 def test_a_toss_has_the_phases_of_a_toss(elliptic):

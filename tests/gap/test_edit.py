@@ -10,6 +10,7 @@ from candata.gap import edit, floor, replay
 from candata.gap.edit import KEPT, edit_test
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.streams import Streams
 from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 
@@ -76,11 +77,11 @@ def test_it_does_not_depend_on_the_number_of_threads(arm, other, kept):
 def test_however_many_episodes_few_are_simulated_at_a_time(arm, arm_episodes, monkeypatch, count):
     recs, worlds = recordings(arm, arm_episodes(damping(TRUE), count=count, rows=ROWS)), []
     args = Replayer(arm), recs, damping(TRUE)
-    whole = edit.replayed(*args, np.random.default_rng(1), 2)
+    whole = edit.replayed(*args, Streams(1), 2)
     monkeypatch.setattr(edit, "MANY", 4)
     for module in (replay, floor):
         monkeypatch.setattr(module, "rollout", lambda *a, **k: (worlds.append(len(a[1])), rollout(*a, **k))[1])
-    found = edit.replayed(*args, np.random.default_rng(1), 2)
+    found = edit.replayed(*args, Streams(1), 2)
     # A block of at most four episodes: with and without the effect, or two nulls of each.
     assert max(worlds) <= 8
     assert found.recs is recs

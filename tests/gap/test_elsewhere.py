@@ -14,6 +14,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 
 
@@ -22,7 +23,7 @@ def one_joint(arm, arm_episodes, planted):
     """The problem that another cause beside a late joint poses, and the fit of that joint."""
     effects = (*planted("joint_damping", damping_Nms_rad=0.3), *planted("actuation_delay", "elbow", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     return problem, joint(problem, (elbow,), problem.score.loss(problem.nominal))
 
@@ -69,7 +70,7 @@ def test_a_fault_is_as_strong_on_the_groups_that_hold_its_element(name, element,
 
 def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(arm, arm_episodes, planted):
     recs = recordings(arm, arm_episodes(planted("actuation_delay", "shoulder", delay_s=0.03), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     everywhere = (candidate("actuation_delay", arm), np.array([0.03]))
     wrong = joint(problem, (everywhere,), problem.score.loss(problem.nominal))
     assert worth.left_by(wrong) > worth.OPEN
@@ -81,7 +82,7 @@ def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(a
 def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_episodes, planted, monkeypatch):
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
     some = [
         (candidate(name, arm, "elbow"), np.full(1, value))
@@ -102,7 +103,7 @@ def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_ep
         *planted("actuation_delay", "elbow", delay_s=0.03),
     )
     recs = recordings(arm, arm_episodes(only_here, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
     assert elsewhere._spread_together(problem, joint(problem, tuple(some), base)) is None
 
@@ -112,7 +113,7 @@ def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_ep
 )
 def test_of_all_numbers_only_those_of_the_elements_at_fault_are_kept(arm, arm_episodes, planted, elements, label):
     recs = recordings(arm, arm_episodes(planted("joint_offset", "elbow", offset_rad=0.06), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     fit = joint(
         problem, ((candidate("joint_offset", arm), np.array([0.001, 0.06])),), problem.score.loss(problem.nominal)
     )
@@ -122,7 +123,7 @@ def test_of_all_numbers_only_those_of_the_elements_at_fault_are_kept(arm, arm_ep
 
 def test_a_fault_moved_to_all_joints_keeps_to_the_group_that_explains_as_much(arm, arm_episodes, planted, monkeypatch):
     recs = recordings(arm, arm_episodes(planted("joint_offset", "elbow", offset_rad=0.06), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     base, elbow = problem.score.loss(problem.nominal), candidate("joint_offset", arm, "elbow")
     blunt = joint(problem, ((elbow, np.array([0.06])),), base)
     off = replace(blunt, evidence=replace(blunt.evidence, loss=blunt.evidence.loss + 1.0))

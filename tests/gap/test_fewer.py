@@ -17,6 +17,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.gap.conftest import members, plant
@@ -48,7 +49,7 @@ def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
         *planted("armature", armature_kgm2=3e-5),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     some = members(arm, joint_dry_friction=0.3, actuation_delay=0.03, armature=3e-5)
     fit = joint(problem, some, problem.score.loss(problem.nominal))
     found, _, _ = fewer.simplified(problem, fit, True)
@@ -74,7 +75,7 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
 def test_a_choice_goes_unless_the_others_do_not_make_up_for_it(arm, arm_episodes, planted, true, kept):
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03), *true)
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     step = (candidate("time_step", arm), np.log([0.005 if true else 0.0025]))
     some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), step)
     fit = joint(problem, some, problem.score.loss(problem.nominal))
@@ -101,7 +102,7 @@ def test_many_numbers_go_that_take_a_part_of_one_more_effect_unless_they_are_tru
     effects = (*planted(true, **value), *planted("object_mass", mass_scale=1.5))
     jobs = [EpisodeJob(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], 3, effects) for i in range(10)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     mass, size = members(scene, object_mass=0.4, object_size=-0.02)
     stand_in = (candidate("joint_offset", scene), np.array([0.02, -0.03, 0.015, -0.03, 0.0, 0.0]))
     offsets = (stand_in[0], np.array(OFFSETS))
@@ -174,7 +175,7 @@ def test_the_fault_of_one_joint_stays_its_own(arm, arm_episodes, planted):
         *planted("actuation_delay", delay_s=0.03),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     local = (on(arm, "joint_dry_friction", "elbow"), np.full(1, 0.3))
     fit = joint(problem, (local, *members(arm, actuation_delay=0.03)), problem.score.loss(problem.nominal))
     assert fewer.widened(problem, fit, False) == (fit, problem, False)
@@ -185,7 +186,7 @@ def test_the_fault_of_one_joint_stays_its_own(arm, arm_episodes, planted):
 def test_all_numbers_of_a_vector_take_the_place_of_one_s_and_of_what_makes_up_for_the_rest(arm, arm_episodes, planted):
     offsets = (0.05, -0.04)
     recs = recordings(arm, arm_episodes(planted("joint_offset", offset_rad=offsets), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     part = (on(arm, "joint_offset", "shoulder"), np.full(1, 0.04))
     some = (part, *members(arm, servo_gain=0.8, joint_dry_friction=0.02))
     fit = joint(problem, some, problem.score.loss(problem.nominal))
@@ -201,7 +202,7 @@ def test_all_numbers_of_a_vector_take_the_place_of_one_s_and_of_what_makes_up_fo
 def test_all_numbers_of_a_vector_take_the_place_of_one_s_beside_what_is_true(arm, arm_episodes, planted, offsets):
     true = (*planted("joint_offset", offset_rad=offsets), *planted("joint_dry_friction", frictionloss_Nm=0.3))
     recs = recordings(arm, arm_episodes(true, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     some = ((on(arm, "joint_offset", "shoulder"), np.full(1, 0.04)), *members(arm, joint_dry_friction=0.3))
     fit = joint(problem, some, problem.score.loss(problem.nominal))
     found, _, _ = fewer.completed(problem, fit, True)
@@ -218,7 +219,7 @@ def test_the_numbers_of_one_element_stay_alone_where_no_other_is_off(arm, arm_ep
         *planted("joint_dry_friction", frictionloss_Nm=0.3),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     part = (on(arm, "joint_offset", "elbow"), np.full(1, 0.05))
     fit = joint(problem, (part, *members(arm, joint_dry_friction=0.3)), problem.score.loss(problem.nominal))
     assert fewer.completed(problem, fit, False) == (fit, problem, False)
@@ -253,7 +254,7 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
         *planted("servo_gain", "shoulder", kp_scale=0.6),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     weak = (candidate("servo_gain", arm, "shoulder"), np.log([0.6]))
     some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), weak)
     right = joint(problem, some, problem.score.loss(problem.nominal))
@@ -290,7 +291,7 @@ def test_one_in_place_of_two_that_makes_up_for_little_is_not_fitted_on_all(arm, 
 @pytest.mark.parametrize("true", [plant("time_step", time_step_s=0.005), plant("armature", armature_kgm2=0.002)])
 def test_a_choice_takes_the_place_of_many_that_stand_for_it(arm, arm_episodes, planted, true):
     recs = recordings(arm, arm_episodes((*true, *planted("joint_dry_friction", frictionloss_Nm=0.3)), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     many = {"joint_dry_friction": 0.3, "joint_damping": 0.06, "actuation_delay": 0.005, "armature": 0.002}
     wrong = joint(problem, members(arm, **many), problem.score.loss(problem.nominal))
     found, world, _ = fewer.by_choice(problem, wrong, True)

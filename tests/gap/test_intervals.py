@@ -73,7 +73,7 @@ def posed(arm, pair):
             residuals=residuals,
             setting=lambda members: members,
             score=SimpleNamespace(loss=lambda z: z.mean(1)),
-            rng=rng,
+            stream=lambda *asked: np.random.default_rng(len(asked)),
         )
         return problem, Fit(members, plane, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 2)))), size
 
@@ -213,7 +213,7 @@ def trapped(arm, seed):
     problem = SimpleNamespace(
         recs=Episodes(range(20)),
         replayer=SimpleNamespace(scene=arm),
-        rng=np.random.default_rng(seed),
+        stream=lambda *asked: np.random.default_rng(seed),
         setting=lambda members: members[0][1],
         residuals=lambda worlds: [residual(u) for u in worlds],
         score=SimpleNamespace(loss=lambda z: (z**2).mean(-1)),

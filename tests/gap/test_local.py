@@ -12,6 +12,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.stage import typical
+from candata.gap.streams import Streams
 from candata.simulate.episodes import EpisodeJob, make_episodes
 
 
@@ -20,9 +21,8 @@ def variants(arm, arm_episodes, planted):
     """The function that gives the labels of the variants that an arm with a fault is searched for."""
 
     def find(*fault, **parameters) -> set[str]:
-        rng = np.random.default_rng(0)
         recs = recordings(arm, arm_episodes(planted(*fault, **parameters) if fault else ()))
-        problem = _problem(Replayer(arm), recs, rng, None, lambda stage: None)
+        problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
         nominal = problem.nominal
         responses, _ = respond(problem, nominal, candidates(arm, list(recs.readings)))
         base, _ = typical(problem, nominal, ())
@@ -46,7 +46,7 @@ def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     made = make_episodes(
         hand, [EpisodeJob(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise
     )
-    problem = _problem(Replayer(hand), recordings(hand, made), np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(hand), recordings(hand, made), Streams(0), None, lambda stage: None)
     force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
     own = np.tile(force, problem.plan.phase.shape[1])
     here = np.where(own, problem.nominal + 30, 0).astype(np.float32)  # nothing is left for any joint to explain

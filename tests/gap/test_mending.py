@@ -12,11 +12,12 @@ from candata.gap import mending, sets
 from candata.gap.attribute import attribute
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
-from candata.gap.mending import Doubt
+from candata.gap.mending import Doubt, LoneForce
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
+from candata.gap.streams import Streams
 from tests.gap import hidden
 
 
@@ -26,7 +27,7 @@ def posed(arm, arm_episodes):
 
     def pose(effects, count: int = 12):
         recs = recordings(arm, arm_episodes(effects, count=count))
-        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+        return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
     return pose
 
@@ -46,32 +47,25 @@ def named(cogs, arm):
     return joint(cogs, ((c, np.full(1, 0.1)),), cogs.score.loss(cogs.nominal))
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(1)
-
-
 def test_a_force_that_explains_clearly_more_than_a_name_stands(cogs, named):
-    doubt = Doubt(cogs, rng())
-    assert doubt.of(cogs, named.plane.z)
-    assert doubt.stands.best.suspects[0].element == "elbow"
+    doubt = Doubt(LoneForce(cogs))
+    assert doubt.of(cogs, named.plane.z).best.suspects[0].element == "elbow"
 
 
 def test_a_force_that_explains_no_more_than_what_is_named_does_not(posed, planted):
     """Damping is a force along the speed, which closes as much; the name says more."""
     truth = planted("joint_damping", damping_Nms_rad=0.3)
     problem = posed(truth)
-    doubt = Doubt(problem, rng())
+    doubt = Doubt(LoneForce(problem))
     assert doubt.of(problem, problem.nominal), "beside nothing it would"
-    doubt = Doubt(problem, rng())
-    assert not doubt.of(problem, problem.residuals([truth])[0])
-    assert doubt.stands is None
+    assert doubt.of(problem, problem.residuals([truth])[0]) is None
 
 
 def mending_half(monkeypatch) -> list[int]:
     """Let a force mend half of the gap; the list of how many episodes it is played on."""
     played: list[int] = []
 
-    def half(problem, world, rng):
+    def half(problem, world):
         played.append(len(problem.recs))
         return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="joint")]))
 
@@ -81,7 +75,7 @@ def mending_half(monkeypatch) -> list[int]:
 
 def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, named, monkeypatch):
     played = mending_half(monkeypatch)
-    doubt = Doubt(cogs, rng())
+    doubt = Doubt(LoneForce(cogs))
     assert not doubt.of(cogs, named.plane.z)
     assert not doubt.of(cogs, cogs.nominal)
     assert played == [6], "once, on a few of the twelve"
@@ -91,15 +85,14 @@ def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, 
 def test_a_correction_of_what_fingertips_read_is_no_cause_by_itself(cogs, named, monkeypatch, place, stands):
     force = SimpleNamespace(best=SimpleNamespace(closed=0.99, suspects=[SimpleNamespace(place=place)]))
     monkeypatch.setattr(mending, "mended", lambda *a: force)
-    assert Doubt(cogs, rng()).of(cogs, named.plane.z) is stands
+    assert bool(Doubt(LoneForce(cogs)).of(cogs, named.plane.z)) is stands
 
 
 def test_growth_ends_where_it_stands_before_effects_are_simulated_beside_what_is_found(cogs, named, monkeypatch):
     monkeypatch.setattr(sets, "looked_into", lambda *a: pytest.fail("effects are simulated"))
     monkeypatch.setattr(sets, "BELIEVED", np.inf)
-    doubt = Doubt(cogs, rng())
-    found, _, remains = sets.forward(cogs, named, (), doubt=doubt)
-    assert doubt.stands
+    (found, _, remains), force = sets.forward(cogs, named, (), doubt=Doubt(LoneForce(cogs)))
+    assert force.best.suspects[0].element == "elbow"
     assert remains
     assert found.labels == named.labels
 
@@ -107,13 +100,12 @@ def test_growth_ends_where_it_stands_before_effects_are_simulated_beside_what_is
 def test_of_a_full_set_that_leaves_much_it_is_asked_before_all_effects_are_fitted(cogs, named, monkeypatch):
     monkeypatch.setattr(sets, "is_full", lambda *a: True)
     monkeypatch.setattr(sets, "jointly", lambda *a: pytest.fail("all effects are fitted"))
-    doubt = Doubt(cogs, rng())
-    sets.forward(cogs, named, (), doubt=doubt)
-    assert doubt.stands
+    _, force = sets.forward(cogs, named, (), doubt=Doubt(LoneForce(cogs)))
+    assert force.best.suspects[0].element == "elbow"
 
 
 def test_a_search_that_it_ends_says_which_force_and_names_no_more(cogs):
-    found = attribute(replace(cogs, rng=rng()))
+    found = attribute(cogs)
     assert found.force.best.suspects[0].element == "elbow"
     assert found.remains
     assert len(found.chosen.members) <= 2
@@ -121,24 +113,24 @@ def test_a_search_that_it_ends_says_which_force_and_names_no_more(cogs):
 
 def test_what_was_named_before_counts_where_less_is_named_later(cogs, named):
     """A second search may hold a poorer set than the first one found."""
-    doubt = Doubt(cogs, rng())
+    doubt = Doubt(LoneForce(cogs))
     nearly = named.plane.z * np.float32(0.01)
-    assert not doubt.of(cogs, nearly)
-    assert not doubt.of(cogs, named.plane.z)
-    assert doubt.stands is None
+    assert doubt.of(cogs, nearly) is None
+    assert doubt.beyond(cogs, nearly).of(cogs, named.plane.z) is None
+    assert doubt.of(cogs, named.plane.z), "what was asked before changes nothing"
 
 
 def test_it_is_not_played_where_names_leave_it_no_room(cogs, named, monkeypatch):
     """What names leave must be more than what a force has to close beyond them."""
     monkeypatch.setattr(mending, "mended", lambda *a: pytest.fail("it is played"))
-    assert not Doubt(cogs, rng()).of(cogs, named.plane.z * np.float32(0.01))
+    assert not Doubt(LoneForce(cogs)).of(cogs, named.plane.z * np.float32(0.01))
 
 
 def test_what_mends_little_of_a_few_episodes_may_close_no_more_of_all(cogs, monkeypatch):
     played = mending_half(monkeypatch)
-    doubt = Doubt(cogs, rng())
+    doubt = Doubt(LoneForce(cogs))
     assert (doubt.may_close(0.6), doubt.may_close(0.7)) == (True, False)
-    assert doubt.force() is doubt.force()
+    assert doubt.lone.of_all is doubt.lone.of_all
     assert played == [6, 12]
 
 
@@ -150,12 +142,12 @@ def test_which_force_mends_most_is_decided_on_half_of_the_episodes_and_judged_on
         return real(problem, world, nominal, some, index)
 
     monkeypatch.setattr(mending, "stopgap", counted)
-    found = mending.mended(cogs, (), rng())
+    found = mending.mended(cogs, ())
     assert found.best.size.shape == (12,)
     assert set(played[:-1]) == {8}, "two of the three of each fold"
     assert played[-1] == 12
     played.clear()
-    assert len(mending.mended(brief(cogs)[0], (), rng()).best.size) == 6
+    assert len(mending.mended(brief(cogs)[0], ()).best.size) == 6
     assert set(played) == {6}
 
 
@@ -163,20 +155,20 @@ def test_what_names_leave_is_described_from_fewer_episodes(cogs, named, monkeypa
     monkeypatch.setattr(mending, "LEFT_OVER", 8)
     looked: list[int] = []
 
-    def nothing(problem, world, rng):
+    def nothing(problem, world):
         looked.append(len(problem.recs))
         return [], []
 
     monkeypatch.setattr(mending, "_standing_out", nothing)
-    mending.mended(cogs, cogs.setting(named.members), rng())
-    mending.mended(cogs, (), rng())
+    mending.mended(cogs, cogs.setting(named.members))
+    mending.mended(cogs, ())
     assert looked == [8, 12]
 
 
 def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
     """A world in which all is ten times as uncertain closes no more of the gap."""
     calm = replace(cogs, score=replace(cogs.score, sigma=10 * cogs.score.sigma))
-    doubt = Doubt(cogs, rng())
+    doubt = Doubt(LoneForce(cogs))
     assert doubt._closed(calm, named.plane.z / 10) == pytest.approx(doubt._closed(cogs, named.plane.z), abs=1e-3)
 
 

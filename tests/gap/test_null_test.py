@@ -11,6 +11,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.null_test import null_gains, surpasses_nulls
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 
@@ -84,7 +85,7 @@ def test_an_effect_that_only_changes_how_noise_is_followed_is_not_named(scene, j
 
 def test_a_late_tracker_gains_as_much_on_null_recordings_of_a_block_at_rest(scene, judge):
     recs = recordings(scene, [still(i) for i in range(EPISODES)])
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     late = (candidate("pose_latency", scene), np.array([0.05]))
     with_it, without = (problem.residuals([problem.setting(some)])[0] for some in ((late,), ()))
     gain = problem.score.loss(without) - problem.score.loss(with_it)
@@ -98,7 +99,7 @@ def test_a_late_tracker_gains_as_much_on_null_recordings_of_a_block_at_rest(scen
 def test_a_planted_cause_gains_beyond_what_nulls_show(arm, arm_episodes, planted):
     cause = planted("joint_damping", damping_Nms_rad=0.001)
     recs = recordings(arm, arm_episodes(cause, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     damped = (candidate("joint_damping", arm), np.array([0.001]))
     own, nominal = (problem.score.loss(problem.residuals([problem.setting(s)])[0]) for s in ((damped,), ()))
     gain = nominal - own

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
@@ -14,6 +13,7 @@ from candata.gap.outlook import LATER, say_outlook
 from candata.gap.pace import ANOTHER, ONE, REST, SIGNATURE, Forecast, Pace, Span
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.streams import Streams
 from candata.gap.wanted import wanted
 from candata.schema.manifest import Lineage
 
@@ -38,7 +38,7 @@ def test_a_step_is_told_with_the_time_it_takes_in_replays(replay_s, span, text):
 @pytest.fixture
 def posed(arm, arm_episodes, tmp_path):
     recs = recordings(arm, arm_episodes(count=12, rows=80))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None, share=True)
+    problem = _problem(Replayer(arm), recs, Streams(0), tmp_path, lambda stage: None, share=True)
     others = {s.name for _, some in wanted(problem, "first") for s in some} - {"joint_damping", "servo_gain"}
     return replace(problem, ruled_out=frozenset(others))
 

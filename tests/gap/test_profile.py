@@ -56,7 +56,7 @@ def posed(arm, rise, own, seed=0, weight=1e4):
     problem = SimpleNamespace(
         recs=Episodes(range(EPISODES)),
         replayer=SimpleNamespace(scene=arm),
-        rng=rng,
+        stream=lambda *asked: np.random.default_rng(seed),
         residuals=residuals,
         tried=tried,
         score=SimpleNamespace(loss=lambda z: z.mean(-1), nats=lambda: np.full(EPISODES, 10.0)),

@@ -21,6 +21,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, fit_one
 from candata.gap.shortlist import brief
+from candata.gap.streams import Streams
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def problem(arm, arm_episodes, planted, tmp_path_factory):
     return _problem(
         Replayer(arm),
         recordings(arm, episodes),
-        np.random.default_rng(0),
+        Streams(0),
         tmp_path_factory.mktemp("kept"),
         lambda stage: None,
         share=True,
@@ -152,7 +153,7 @@ def test_where_a_scalar_was_simulated_it_is_read_and_not_simulated_again(problem
 def offset(arm, arm_episodes, planted):
     """The problem that two joints read 60 and -50 mrad off pose, the effect, and where it is true."""
     recs = recordings(arm, arm_episodes(planted("joint_offset", offset_rad=[0.06, -0.05]), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
     return problem, candidate("joint_offset", arm), np.array([0.06, -0.05])
 
 

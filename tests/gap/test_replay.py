@@ -9,7 +9,7 @@ import pytest
 
 from candata.gap import replay as module
 from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, needs_simulation, replay, replay_all
+from candata.gap.replay import ReplayedSteps, Replayer, needs_simulation, replay, replay_all
 from candata.gap.starts import Starts, starts
 from candata.simulate import Observer, at_rest, rollout
 
@@ -52,6 +52,16 @@ def test_a_recording_replayed_in_its_own_world_is_itself(arm, arm_episodes, plan
     assert largest(recs, same, "joint_position") < STORED
     # The control: another world is told apart by a thousand times as much.
     assert largest(recs, other, "joint_position") > 1000 * STORED
+
+
+def test_what_is_simulated_is_counted_in_steps_of_episodes_and_heard_as_before(arm, arm_episodes, planted):
+    recs = recordings(arm, arm_episodes((), count=2, noise=False))
+    counted, heard = ReplayedSteps(), []
+    worlds = [(), planted("armature", armature_kgm2=0.02), ()]
+    replay_all(counted.watched(Replayer(arm, count=heard.append)), recs, starts(arm, recs), worlds)
+    rows = recs.commands.shape[0] * recs.commands.shape[1]
+    assert counted.steps == 2 * rows, "what is asked for twice is simulated once"
+    assert sum(heard) == counted.steps * arm.substeps
 
 
 @pytest.mark.parametrize("declared", [True, False])

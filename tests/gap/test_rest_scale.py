@@ -10,6 +10,7 @@ from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import Replayer
 from candata.gap.rest_scale import SYSTEMATIC, Scale, _causes, length_scale, scale_from_flight, scale_from_rest
 from candata.gap.starts import starts
+from candata.gap.streams import Streams
 from candata.policies import policy
 from candata.simulate import rollout
 from candata.simulate.episodes import add_noise
@@ -41,7 +42,7 @@ def seen(cube, tossed):
 
     def look(effects=(), count: int = COUNT):
         recs = tossed(effects, count)
-        return length_scale(cube, recs, starts(cube, recs), np.random.default_rng(2))
+        return length_scale(cube, recs, starts(cube, recs), Streams(2))
 
     return look
 
@@ -89,7 +90,7 @@ def test_a_toss_that_is_cut_before_it_rests_or_has_gaps_counts_for_less(cube, to
     begin = starts(cube, recs)
     recs.readings["object_pose"][:10, -3:] = np.nan
     recs.readings["object_pose"][2, 1:4] = np.nan
-    found = length_scale(cube, recs, begin, np.random.default_rng(0))
+    found = length_scale(cube, recs, begin, Streams(0))
     assert found.rest is None
     assert found.flight.holds(1.0)
 
@@ -115,7 +116,7 @@ def test_what_explains_both_readings(flight, rest, causes):
 
 def test_measured_lengths_enter_the_search_before_any_fit(cube, tossed, planted):
     recs = tossed(planted("pose_scale", scale=0.97))
-    problem = _problem(Replayer(cube), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(cube), recs, Streams(0), None, lambda stage: None)
     ((c, u),) = problem.measured
     assert c.name == "pose_scale"
     assert float(c.values(u)[0]) == pytest.approx(0.97, abs=0.003)
@@ -124,5 +125,5 @@ def test_measured_lengths_enter_the_search_before_any_fit(cube, tossed, planted)
 
 
 def test_right_lengths_rule_nothing_out(cube, tossed):
-    problem = _problem(Replayer(cube), tossed(), np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(cube), tossed(), Streams(0), None, lambda stage: None)
     assert (problem.measured, problem.ruled_out) == ((), frozenset())

@@ -78,11 +78,11 @@ def test_a_recording_of_the_nominal_scene_loses_one_by_however_few_nulls(rng, re
         return rng.standard_t(3.0, (n, 20, 1, 1)) * rng.standard_normal((n, 20, 40, 2))
 
     means, above, own = [], [], []
-    for _ in range(40):
-        level = score(draw(1)[0], spread(Noise(joint_position=1e-6), plan, draw(replicas)), plan)
+    for seed in range(40):
+        level = score(draw(1)[0], spread(Noise(joint_position=1e-6), plan, draw(replicas)), plan, seed=seed)
         fresh = np.array([level.loss(level.normal(r)).mean() for r in draw(4)])
         means.append(fresh.mean())
-        above.append(fresh > null_level(level, rng))
+        above.append(fresh > null_level(level))
         own.append(level.loss(level.null).mean())
     assert np.mean(means) == pytest.approx(1.0, abs=0.06)
     assert np.mean(above) < 0.06

@@ -36,7 +36,7 @@ def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, 
     blunt = members(arm, joint_dry_friction=0.22)
     plane = around(problem, blunt, lambda u: divided(blunt, u))
     best = Fit(blunt, plane, cross_fit(replace(plane, slope=0 * plane.slope), problem.score, problem.parts, base))
-    found, _, _ = sets.forward(problem, best, [])
+    (found, _, _), _ = sets.forward(problem, best, [])
     assert found.labels == ("joint_dry_friction",)
     assert found.members[0][1] == pytest.approx(0.3, rel=0.02)
 
@@ -68,7 +68,7 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
     monkeypatch.setattr(sets, "together", lambda *a: None)
     for name in ("_next", "_swapped", "moved", "shared", "paired", "_retraced"):
         monkeypatch.setattr(sets, name, lambda *a, name=name: looked.append(name))
-    found, _, remains = sets.forward(world, fit(left), ())
+    (found, _, remains), _ = sets.forward(world, fit(left), ())
     assert (found, remains, looked == []) == ((sharp, False, True) if again else (in_its_own, True, False))
 
 
@@ -231,7 +231,7 @@ def test_others_are_tried_in_the_place_of_each_of_three_only_where_no_many_are_f
     monkeypatch.setattr(sets, "together", lambda *a: None)
     for name in ("_swapped", "moved", "shared", "paired", "_retraced"):
         monkeypatch.setattr(sets, name, lambda *a, name=name: asked.append(name))
-    assert sets.forward(problem, best, ())[0] is best
+    assert sets.forward(problem, best, ())[0][0] is best
     assert bool(asked) is tried
 
 
@@ -248,7 +248,7 @@ def test_others_are_tried_in_place_of_early_members_only_where_a_tenth_of_the_ga
     monkeypatch.setattr(sets, "together", lambda *a: None)
     for name in ("_swapped", "moved", "shared", "paired", "_retraced"):
         monkeypatch.setattr(sets, name, lambda *a, name=name: asked.append(name))
-    assert sets.forward(problem, best, ())[0] is best
+    assert sets.forward(problem, best, ())[0][0] is best
     assert asked == tried
 
 
@@ -393,7 +393,7 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = step_problem(arm, recs)
     delay = joint(problem, members(arm, actuation_delay=0.02), problem.score.loss(problem.nominal))
-    found, world, remains = sets.forward(problem, delay, ())
+    (found, world, remains), _ = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
     assert faint < worth.EXTRA * found.gain

@@ -30,6 +30,7 @@ from candata.gap.shortlist import (
     screened,
 )
 from candata.gap.stage import typical
+from candata.gap.streams import Streams
 
 
 def test_every_task_is_among_the_few():
@@ -48,7 +49,7 @@ def test_every_task_is_among_the_few():
 def posed(arm, arm_episodes, planted):
     """The problem that 12 recordings of an arm with damped joints pose."""
     recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.3), count=12))
-    return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
 
 def test_the_few_are_the_problem_of_those_episodes(posed):

@@ -14,6 +14,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import residual
 from candata.gap.signatures import library
+from candata.gap.streams import Streams
 from candata.simulate import at_rest, rollout
 
 
@@ -21,7 +22,7 @@ from candata.simulate import at_rest, rollout
 def still(arm, arm_episodes):
     """Recordings of the nominal arm without noise, and the problem they pose."""
     recs = recordings(arm, arm_episodes(noise=False))
-    return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
 
 def shelf(problem, root, begin=None):
@@ -41,9 +42,7 @@ def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_epi
 
 def test_where_none_are_kept_a_signature_is_what_the_effect_takes_off_the_recording(arm, arm_episodes, planted):
     some = planted("joint_damping", damping_Nms_rad=0.4)
-    posed = _problem(
-        Replayer(arm), recordings(arm, arm_episodes(some)), np.random.default_rng(0), None, lambda stage: None
-    )
+    posed = _problem(Replayer(arm), recordings(arm, arm_episodes(some)), Streams(0), None, lambda stage: None)
     left = posed.raw - residual(posed.recs, posed.plan, replay_all(posed.replayer, posed.recs, posed.begin, [some])[0])
     steps = []
     counted = replace(posed.library, replayer=replace(posed.replayer, count=steps.append), memo={})
@@ -63,7 +62,7 @@ def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_e
     qpos, qvel = at_rest(arm, len(recs))
     played = rollout(arm, recs.commands, qpos - offset, qvel, [some] * len(recs))
     recs = replace(recs, readings=played.readings)
-    own = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None, share=True)
+    own = _problem(Replayer(arm), recs, Streams(0), tmp_path, lambda stage: None, share=True)
     inside = np.isfinite(own.raw)
     (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))
     error, wrong = (np.abs(one[inside] - own.raw[inside]).max() for one in (found, other))
@@ -136,6 +135,16 @@ def test_starts_that_a_biased_sensor_could_have_read_share_signatures(still, tmp
     second = shelf(still, tmp_path, moved)
     assert (second.folder == first.folder) is shared
     assert np.array_equal(second.begin.qpos, first.begin.qpos if shared else moved.qpos)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_two_starts_that_count_as_the_same_the_nearest_is_taken_whichever_was_first(still, tmp_path, first):
+    def moved(off_rad: float):
+        return replace(still.begin, qpos=still.begin.qpos + off_rad, qpos0=still.begin.qpos0 + off_rad)
+
+    both = (0.0, 0.15) if first == 0 else (0.15, 0.0)
+    kept_at = {off: shelf(still, tmp_path, moved(off)).folder for off in both}
+    assert [shelf(still, tmp_path, moved(off)).folder for off in (0.06, 0.09)] == [kept_at[0.0], kept_at[0.15]]
 
 
 def test_other_commands_have_other_signatures(still, tmp_path):

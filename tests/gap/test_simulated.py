@@ -20,13 +20,14 @@ from candata.gap.screen import _places, respond, screening
 from candata.gap.sets import _swapped
 from candata.gap.shortlist import SIMULATED, screened
 from candata.gap.stage import look, unheld
+from candata.gap.streams import Streams
 
 
 @pytest.fixture(scope="module")
 def problem(arm, arm_episodes, planted):
     """The problem that an arm with dry joints poses."""
     episodes = arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)
-    return _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    return _problem(Replayer(arm), recordings(arm, episodes), Streams(0), None, lambda stage: None)
 
 
 @pytest.fixture(scope="module")

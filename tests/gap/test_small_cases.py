@@ -1,4 +1,4 @@
-"""Cases in random small scenes on disk, their labels, their score, and two versions compared on them."""
+"""Cases in random small scenes on disk, their labels and their score."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import pytest
 from candata.datasets import open_dataset
 from candata.errors import UsageError
 from candata.gap.blind.cases import CASE, CASES, open_labels, read_cases, read_labels, scene_of
-from candata.gap.blind.comparing import compare_runs, mcnemar
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.rigs.cases import make_rig_cases, null_traits, seal_rig_labels
 from candata.gap.blind.rigs.design import TRAITS, all_traits
 from candata.gap.blind.scoring import miss, score_run
 from candata.scenes import load_scene
-from candata.schema.bench import BenchFile, CaseResult, Label, Miss
+from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
 
@@ -143,54 +142,3 @@ def test_a_single_cause_is_right_alone_ambiguous_with_it_in_the_class_or_wrong()
     assert rows["one effect: a wrong name"].value == 25
     missed = [miss(o) for o in some]
     assert [m.why if m else None for m in missed] == [None, "a wrong name beside", "not first", "not first"]
-
-
-def scored(folder, said):
-    """Write the results and the score of a run in which cases came out as said: True is right."""
-    folder.mkdir()
-    results = [
-        outcome("null", "plain", "no_gap" if right else "unknown_effect", cpu_s=k + 1.0).result.model_copy(
-            update={"case": f"c{k}", "sealed": f"seal{k}"}
-        )
-        for k, right in enumerate(said)
-    ]
-    (folder / "results.jsonl").write_text("".join(r.model_dump_json() + "\n" for r in results))
-    misses = tuple(
-        Miss(case=f"c{k}", kind="null", truth="none", verdict="unknown_effect", named="-", why="")
-        for k, right in enumerate(said)
-        if not right
-    )
-    score = BenchFile(scene="s", cases=len(said), done=len(said), rows=(), misses=misses, confusion={}, calibration=())
-    (folder / "bench.json").write_text(score.model_dump_json())
-    return folder
-
-
-def test_two_runs_are_paired_case_by_case(tmp_path):
-    first = scored(tmp_path / "a", [True, True, False, False, False])
-    second = scored(tmp_path / "b", [True, False, True, True, False])
-    found = compare_runs(first, second)
-    assert (found.both_right, found.first_only, found.second_only, found.neither) == (1, 1, 2, 1)
-    assert found.p == 1.0
-    assert (found.first_cpu_s, found.second_cpu_s) == (3.0, 3.0)
-    assert [c.case for c in found.changed] == ["c1", "c2", "c3"]
-    assert (found.changed[0].first, found.changed[0].second) == ("no_gap (right)", "unknown_effect")
-
-
-def test_mcnemars_p_is_that_of_a_fair_coin():
-    assert mcnemar(0, 0) == 1.0
-    assert mcnemar(0, 5) == mcnemar(5, 0) == 2 / 32
-    assert mcnemar(1, 9) == pytest.approx(2 * 11 / 1024)
-
-
-def test_runs_that_cannot_be_paired_are_refused(tmp_path):
-    first = scored(tmp_path / "a", [True])
-    with pytest.raises(UsageError, match=r"no results\.jsonl"):
-        compare_runs(first, tmp_path)
-    other = scored(tmp_path / "b", [True])
-    text = (other / "results.jsonl").read_text()
-    (other / "results.jsonl").write_text(text.replace("seal0", "seal9"))
-    with pytest.raises(UsageError, match="share no case"):
-        compare_runs(first, other)
-    (other / "results.jsonl").write_text(text + text.replace("seal0", "seal1"))
-    with pytest.raises(UsageError, match="not the score of all results"):
-        compare_runs(first, other)

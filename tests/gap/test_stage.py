@@ -19,6 +19,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.stage import narrowed, sharpened, typical
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 
 BASE = np.full(8, 2.0)
@@ -35,7 +36,7 @@ def posed(arm, arm_episodes, planted):
 
     def pose(*fault, **parameters):
         recs = recordings(arm, arm_episodes(planted(*fault, **parameters)))
-        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+        return _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
 
     return pose
 
@@ -136,7 +137,7 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
         setting=lambda members: members[0][0].name,
         replayer=SimpleNamespace(scene=arm),
     )
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_starts", lambda *asked: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
     fits = (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5))
     first = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0)
@@ -154,7 +155,7 @@ def sharply(arm, monkeypatch, sharp: dict[str, float]) -> SimpleNamespace:
         setting=lambda members: members[0][0].name,
         losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
     )
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_starts", lambda *asked: [1, 2, 3])
     monkeypatch.setattr(
         staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
     )
@@ -188,7 +189,7 @@ def test_the_next_joints_fault_is_sharpened_too_but_not_that_of_all(arm, monkeyp
         polished.append(f.labels[0])
         return fit(f.members[0][0], sharp[f.labels[0]])
 
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_starts", lambda *asked: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", polish)
     fits = (fit(alone, np.full(8, 1.1)), fit(better, np.full(8, 1.12)))
     found = sharpened(problem, staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0))
@@ -212,7 +213,7 @@ def test_all_of_a_finger_s_numbers_are_sharpened_where_those_of_one_joint_leave_
         setting=lambda members: members[0][0].label,
         losses_from=lambda begins, worlds: np.array([[losses[w] for w in worlds] for _ in begins]),
     )
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_starts", lambda *asked: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, f, base: fit(f.members[0][0], losses[f.labels[0]]))
     monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(one, losses[one.label]))
     fits = (fit(one, np.full(8, 1 + leaves)), fit(both, np.full(8, 1.13)))
@@ -230,7 +231,7 @@ def test_a_scalar_is_fitted_as_a_vector_that_it_is_compared_with(hand, monkeypat
         setting=lambda members: members[0][0].name,
         losses_from=lambda begins, worlds: np.array([[np.full(8, losses[w]) for w in worlds] for _ in begins]),
     )
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_starts", lambda *asked: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
     monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(members[0][0], np.full(8, 0.98)))
     fits = (fit(candidate(other, hand), np.full(8, 1.0)), fit(candidate("pose_scale", hand), np.full(8, 1.04)))
@@ -318,7 +319,7 @@ def test_a_rival_is_sharpened_that_may_come_near_between_its_points(arm, monkeyp
     """Its loss falls steeply to its last near probe, and may go on; not where the best leaves nothing."""
     monkeypatch.setattr(staging, "null_level", lambda *a: 1.1)
     c = candidate("joint_damping", arm)
-    problem = SimpleNamespace(score=SimpleNamespace(loss=lambda z: z[:, 0]), rng=None)
+    problem = SimpleNamespace(score=SimpleNamespace(loss=lambda z: z[:, 0]))
     at, losses = c.neutral[0] + np.array([0.0, 1.0, 2.0]), np.array([2.0, probe, 3.0])
     curve = Curve(c, at, np.repeat(losses, 16).reshape(3, 8, 2), np.ones(3, bool))
     rival = Fit(((c, at[1:2]),), curve, CrossFit(BASE - probe, np.full(8, probe), np.zeros((4, 1))))

@@ -13,6 +13,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, divided, joint, slopes_of
 from candata.gap.replay import Replayer
+from candata.gap.streams import Streams
 
 FRICTION = 0.6
 
@@ -22,7 +23,7 @@ def problem(cube, played, planted):
     """Tosses under another cone and less friction, without a library of signatures."""
     world = (*planted("friction_cone", cone="elliptic"), *planted("sliding_friction", scale=FRICTION))
     recs = recordings(cube, played(cube, world, count=8, duration_s=0.5, seed=5))
-    made = _problem(Replayer(cube), recs, np.random.default_rng(0), None, lambda stage: None)
+    made = _problem(Replayer(cube), recs, Streams(0), None, lambda stage: None)
     return replace(made, library=None)
 
 

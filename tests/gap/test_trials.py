@@ -17,6 +17,7 @@ from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
 from candata.gap.stage import look
+from candata.gap.streams import Streams
 from candata.scenes import load_scene
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.gap.conftest import members, step_problem
@@ -195,7 +196,7 @@ def test_the_two_numbers_of_one_spring_and_damper_are_found_together(planted):
     effects = (*planted("contact_compliance", timeconst_s=0.05), *planted("contact_damping", dampratio=0.4))
     jobs = [EpisodeJob(f"e{i}", i, ("squeeze", "push")[i % 2], 3, effects) for i in range(6)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.2, noise=scene.file.noise))
-    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
     both = [(candidate(name, scene), None) for name in effects_with("contact_spring")]
     (found,) = added._coupled(problem, both)
     assert {c.name: float(np.exp(u[0])) for c, u in found} == pytest.approx(truth, rel=0.15)

@@ -14,6 +14,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.stage import look
+from candata.gap.streams import Streams
 
 #: What most episodes were recorded with, and the few others: as if an object had slipped there.
 MOST, OTHERS = 0.02, 0.08
@@ -25,7 +26,7 @@ def torn(arm, arm_episodes, planted):
     episodes = [
         arm_episodes(planted("actuation_delay", delay_s=OTHERS if i % 3 == 0 else MOST), count=12)[i] for i in range(12)
     ]
-    problem = _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recordings(arm, episodes), Streams(0), None, lambda stage: None)
     stage = look(problem, problem.nominal, ())
     (fit,) = [f for f in stage.fits if f.labels == ("actuation_delay",)]
     between = replace(fit, members=((fit.members[0][0], np.array([(MOST + OTHERS) / 2])),))
@@ -92,7 +93,7 @@ def test_what_foretells_no_more_surely_than_another_effect_is_none(torn, monkeyp
 def delayed(arm, arm_episodes, planted):
     """The problem that a delay poses, its evidence alone, and another effect's."""
     episodes = arm_episodes(planted("actuation_delay", delay_s=MOST), count=12)
-    problem = _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    problem = _problem(Replayer(arm), recordings(arm, episodes), Streams(0), None, lambda stage: None)
     stage = look(problem, problem.nominal, ())
     return problem, stage, next(f for f in stage.fits if f.labels != ("actuation_delay",))
 
@@ -228,9 +229,7 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
     monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
     monkeypatch.setattr(attribute, "alone", lambda *a: None)
     monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
-    problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
-    )
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     after = attribute.attribute(problem)
     if not asked:
         assert after == replace(found, doubt=after.doubt)
@@ -252,8 +251,6 @@ def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypat
     asked = []
     monkeypatch.setattr(attribute, "alone", lambda problem, *a: asked.append(a))
     monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
-    problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
-    )
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     assert attribute.attribute(problem).chosen == "a set"
     assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])

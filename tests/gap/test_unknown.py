@@ -20,6 +20,7 @@ from candata.gap.score import score
 from candata.gap.search import Problem
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap
+from candata.gap.streams import Streams
 from candata.gap.suspects import suspects
 from candata.gap.unknown import describe
 from candata.reports.files import STOPGAP, write_diagnosis
@@ -83,12 +84,12 @@ def described(scene, recs, world=(), where=()):
         folds(recs.tasks, rng),
         scene.file.noise,
         "declared",
-        rng,
+        Streams(1),
         no_library,
         nominal,
         raw,
     )
-    return describe(problem, world, where, None, rng)
+    return describe(problem, world, where, None)
 
 
 @pytest.fixture(scope="module")

@@ -123,11 +123,11 @@ def test_one_start_tells_nothing_of_the_gain_at_others(rng):
 
 def test_noise_without_an_end_is_refused(rng):
     with pytest.raises(UsageError, match="no number"):
-        BOUNDS.noise(rng, (2,), 4, np.inf)
+        BOUNDS.noise([rng], 2, 4, np.inf)
 
 
 def test_noise_is_smooth_and_of_the_size_that_is_asked_for(rng):
-    noise = BOUNDS.noise(rng, (2000,), 16, 0.5)
+    noise = BOUNDS.noise([rng], 2000, 16, 0.5)[0]
     assert noise[:, [3, 7, 11]].std() == pytest.approx(0.5 * 0.3, rel=0.05)  # at knots; 12 000 draws
     assert np.abs(np.diff(noise, axis=1)).max() < np.abs(noise).max()
     assert np.abs(noise[:, 0]).mean() < 0.5 * np.abs(noise[:, 3]).mean()

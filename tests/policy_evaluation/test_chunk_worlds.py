@@ -17,9 +17,9 @@ from candata.errors import DataError, UsageError
 from candata.loaders import windows
 from candata.policies import Goal, Observation, read_motions, read_step_policy
 from candata.policies._network import Network
-from candata.policy_evaluation.candidates import AS_PLANNED, Candidates, policy_chunks
+from candata.policy_evaluation.candidates import AS_PLANNED, Candidates, noisy_candidates, policy_chunks
 from candata.policy_evaluation.chunk_bench import ChunkRequest, chunk_bench
-from candata.policy_evaluation.chunk_starts import chunk_starts
+from candata.policy_evaluation.chunk_starts import ChunkStarts, chunk_starts
 from candata.policy_evaluation.chunk_worlds import FAMILIAR_SDS, ChunkWorld, simulated_world
 from candata.policy_evaluation.commands import command_bounds
 from candata.policy_evaluation.distillation import (
@@ -114,6 +114,37 @@ def test_a_chooser_that_knows_the_world_gains_on_random_choice(starts, nominal, 
     assert result.choosers["nominal"].lift.low > 0.3
     assert result.choosers["nominal"].abstained.value == 0
     assert result.success["nominal"] == (True,) * len(starts)
+
+
+def test_what_is_drawn_for_a_start_depends_on_no_other_start_or_chunk(feed, starts, scene):
+    torch = pytest.importorskip("torch")
+    from candata.models import Sizes, model
+    from candata.testing.models import tiny_config
+    from candata.training.forecasters import TrainedModel
+
+    kind = model("contact_diffusion")
+    fields = {"cloud": "none", "latent": 16, "temporal_width": 8, "widths": (8, 16), "groups": 8}
+    module = kind.build(tiny_config(kind, **fields), Sizes(**feed.sizes()), feed.normaliser).eval()
+    draws = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for value in module.parameters():
+            if not value.any():  # the last layer, which begins at zero
+                value.copy_(0.5 * torch.randn(value.shape, generator=draws))
+    forecaster, bounds = TrainedModel(module, torch.zeros(1, 1, 3), 2, 2), command_bounds(scene, feed)
+    second = ChunkStarts(
+        replace(starts.windows, present_row=starts.windows.present_row[1:2], owner=starts.windows.owner[1:2])
+    )
+    together, alone = (
+        noisy_candidates(each.recorded(ROWS), each, bounds, count, 0.3, 0).commands
+        for each, count in ((starts, 3), (second, 2))
+    )
+    assert np.array_equal(together[1, 1], alone[0, 1])
+    poses, same = (
+        ChunkWorld("m", forecaster, each, feed.normaliser).forecast(commands, (0,)).poses
+        for each, commands in ((starts, together), (second, alone))
+    )
+    assert np.allclose(poses[:, 1, :2], same[:, 0], rtol=0, atol=1e-5)  # sums of float32 in another order
+    assert np.abs(poses[0] - poses[1]).max() > 1e-3  # what is drawn matters
 
 
 def test_a_chunk_beyond_the_horizon_is_refused(nominal, starts):

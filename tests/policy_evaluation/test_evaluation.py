@@ -16,6 +16,7 @@ from candata.errors import UnknownNameError, UsageError
 from candata.loaders import make_split, save_split
 from candata.policies import read_motions
 from candata.policy_evaluation import evaluation as evaluation_module
+from candata.policy_evaluation import worlds as worlds_module
 from candata.policy_evaluation.attribution import effect_share
 from candata.policy_evaluation.evaluation import PolicyEvaluationSettings, evaluate_policies
 from candata.policy_evaluation.policies import read_policies
@@ -114,15 +115,29 @@ def test_recordings_of_a_policy_count_for_its_name_and_start(recorded, gripper, 
     assert np.isnan(success[1]).all()
 
 
+def labelled(episode, start) -> Episode:
+    return Episode(episode.meta.model_copy(update={"labels": {"start": start}}), dict(episode.arrays))
+
+
+def test_a_label_of_a_start_that_is_none_is_refused_with_the_nearest(recorded, gripper, starts, policies, tmp_path):
+    folder = create_dataset(tmp_path / "typo")
+    shutil.copytree(recorded.path / "objects", folder / "objects", dirs_exist_ok=True)
+    first, second = recorded.episodes(recorded.ids[:2])
+    append(folder, [first, labelled(second, first.meta.id + "x")], Lineage(operation="test"))
+    chosen = read_policies(policies({**GRASP, "name": "grasp_lift_shake"}), gripper)
+    with pytest.raises(UnknownNameError, match=f"did you mean '{first.meta.id}'") as refused:
+        recorded_success(open_dataset(folder), chosen, starts)
+    assert second.meta.id in str(refused.value)
+
+
 def test_recordings_that_were_played_from_a_start_are_told_by_their_label(recorded, tmp_path):
     folder = create_dataset(tmp_path / "again")
     shutil.copytree(recorded.path / "objects", folder / "objects", dirs_exist_ok=True)
     first, second = recorded.ids[:2]
     episodes = list(recorded.episodes((first, second)))
-    labelled = episodes[1].meta.model_copy(update={"labels": {"start": first}})
-    append(folder, [episodes[0], Episode(labelled, dict(episodes[1].arrays))], Lineage(operation="test"))
-    assert recordings_from(open_dataset(folder), (first,)) == (second,)
-    assert recordings_from(open_dataset(folder), (second,)) == ()
+    append(folder, [episodes[0], labelled(episodes[1], first)], Lineage(operation="test"))
+    assert recordings_from(open_dataset(folder), (first,)) == {second: first}
+    assert recordings_from(open_dataset(folder), (second,)) == {}
 
 
 def test_without_anything_seen_the_repaired_world_is_the_measure_and_none_is_judged(recorded, policies):
@@ -157,8 +172,22 @@ def test_what_became_unstable_in_the_stand_in_was_not_seen(recorded, policies, m
     settings = replace(SETTINGS, starts=2, duration_s=0.5, goal="lift", withheld=Withheld((SLIPPERY,)))
     evaluation, _ = evaluate_policies([], recorded, policies(GRASP, PUSH), settings)
     assert [ranking.pairs for ranking in evaluation.rankings] == [2]  # the other start of two policies
-    assert "2 simulations of withheld became unstable" in evaluation.notes
+    assert "2 simulations of withheld became unstable and count for nothing" in evaluation.notes
     assert evaluation.headline == "No world can be ranked: all policies succeed alike as they were seen"
+
+
+def test_what_became_unstable_in_a_world_that_predicts_counts_for_nothing_and_is_said(recorded, policies, monkeypatch):
+    monkeypatch.setattr(worlds_module, "SimulatedWorld", Unstable)
+    settings = replace(SETTINGS, starts=2, duration_s=0.5, goal="lift")
+    file = policies({**GRASP, "name": "grasp_lift_shake"})
+    evaluation, _ = evaluate_policies([], recorded, file, settings)
+    predicted, _ = evaluation.scores
+    assert (predicted.total, predicted.unstable, sum(predicted.outcomes.values())) == (1, 1, 1)
+    assert [ranking.pairs for ranking in evaluation.rankings] == [1]
+    assert "1 simulations of nominal became unstable and count for nothing" in summary(evaluation)
+    only = evaluate_policies([], recorded, file, replace(settings, starts=1))[0]
+    assert (only.scores[0].total, only.rankings) == (0, ())
+    assert "unstable 1" in write_policy_evaluation(only, None, file.parent).read_text()
 
 
 def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_without_it():
@@ -166,6 +195,8 @@ def test_an_effect_explains_what_is_wrong_without_it_and_breaks_what_is_right_wi
     nominal, repaired = np.array([[1.0, 1.0, 1.0, 1.0]]), np.array([[0.0, 0.0, 0.0, 0.0]])
     share = effect_share("e", seen, nominal, repaired, np.array([[1.0, 0.0, 1.0, 1.0]]))
     assert (share.explained, share.wrong, share.broken, share.share) == (1, 2, 1, 0.5)
+    unstable = np.where([[True, False, False, False]], np.nan, nominal)
+    assert effect_share("e", seen, unstable, repaired, nominal).wrong == 1
     halves = np.full((1, 4), 0.5)  # repeats that ended either way make no prediction wrong
     assert effect_share("e", halves, nominal, repaired, repaired).wrong == 0
 
@@ -221,6 +252,9 @@ def test_a_run_is_a_world_and_one_that_was_trained_on_the_starts_is_refused(reco
     assert list(evaluation.worlds) == ["nominal", "first"]
     assert "joints by a servo lag" in evaluation.worlds["first"]
     assert any("first forecasts no contact" in note for note in evaluation.notes)
+    assert not any("was trained on" in note for note in evaluation.notes)
+    knowing, _ = evaluate_policies([tmp_path / "first"], data, file, replace(SETTINGS, group="train", starts=2))
+    assert any("first was trained on 2 of the 2 starts" in note for note in knowing.notes)
     other = create_dataset(tmp_path / "other")
     renamed = (
         Episode(episode.meta.model_copy(update={"id": f"o{k}"}), dict(episode.arrays))

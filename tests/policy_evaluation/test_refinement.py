@@ -18,7 +18,7 @@ SETTINGS = MppiSettings(noise=1.0)
 
 
 def refine(world: LiftingWorld, planned: np.ndarray = STILL, settings: MppiSettings = SETTINGS):
-    return refine_chunks(world, planned, planned[:, 0], BOUNDS, LIFT, settings)
+    return refine_chunks(world, planned, planned[:, 0], range(len(planned)), BOUNDS, LIFT, settings)
 
 
 def test_weights_are_those_of_path_integral_control():
@@ -59,8 +59,16 @@ def test_it_does_not_leave_what_is_known():
     assert np.abs(refined.commands).max() <= 0.25
 
 
-def test_same_seed_same_chunk():
-    assert np.array_equal(refine(LiftingWorld()).commands, refine(LiftingWorld()).commands)
+def test_same_seed_same_chunk_whatever_other_starts_there_are():
+    together, again, alone = (
+        refine_chunks(
+            LiftingWorld(), STILL[: len(numbers)], np.zeros((len(numbers), 2)), numbers, BOUNDS, LIFT, SETTINGS
+        )
+        for numbers in ([4, 7], [4, 7], [7])
+    )
+    assert np.array_equal(together.commands, again.commands)
+    assert np.array_equal(together.commands[1:], alone.commands)
+    assert not np.array_equal(together.commands[0], together.commands[1])
 
 
 def test_settings_and_commands_that_mean_nothing_are_refused():

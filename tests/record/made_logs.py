@@ -8,7 +8,7 @@ import numpy as np
 
 from candata.record.calibration import Calibration
 from candata.record.companions import Companion, RecordedStream
-from candata.record.importing import ImportRecipe
+from candata.record.import_recipe import ImportRecipe
 from candata.record.logs import Log, LogMeta
 from candata.schema.scene import SceneFile
 

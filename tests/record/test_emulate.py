@@ -71,6 +71,7 @@ class Reader(threading.Thread):
             self.bytes += len(data)
             self.frames += framer.feed(data, time.monotonic_ns() + wall_ns)
         self.frames += framer.finish()
+        self.counts = dict(framer.counts)
         os.close(self.port_file)
 
     def read(self) -> bytes:
@@ -247,23 +248,35 @@ def test_the_report_counts(script, whole):
     assert reader.bytes + report["dropped_bytes"] == 41 * ROW_BYTES
 
 
-def test_a_reader_that_sleeps_loses_bytes_and_they_are_counted(script, monkeypatch):
-    """The port keeps about 12 kB; the rest is dropped without making the writer wait."""
-    real = Line.drain
-
-    def drain(line, _limit_s):
-        reader.start()  # it wakes when all is sent, and is given the time that it takes
-        real(line, 30.0)
-
-    monkeypatch.setattr(Line, "drain", drain)
+def sent_to_a_sleeper(script, monkeypatch, passes, wakes_at) -> tuple[dict, Reader]:
+    """The report of an emulation whose reader begins to read at a call of `stop`: one or two come with a row."""
+    calls, real = iter(range(10**6)), Line.drain
+    monkeypatch.setattr(Line, "drain", lambda line, _limit_s: real(line, 30.0))  # as long as a busy machine needs
     with Line() as line:
         reader = Reader(line.port)
-        sent = play(script, line, np.random.default_rng(0))
+
+        def stop() -> bool:
+            if next(calls) == wakes_at:
+                reader.start()
+            return False
+
+        report = play(script, line, np.random.default_rng(0), passes=passes, stop=stop).report()
     reader.join(5)
-    report = sent.report()
-    assert report["dropped_frames"] > 60
-    assert reader.bytes + report["dropped_bytes"] == 41 * ROW_BYTES
-    assert len(reader.frames) == sent.command_whole.sum() + sent.state_whole.sum() < 20
+    assert reader.bytes + report["dropped_bytes"] == passes * 41 * ROW_BYTES
+    assert report["whole_commands"] + report["whole_states"] == len(reader.frames)
+    return report, reader
+
+
+def test_a_reader_that_is_late_by_less_than_a_serial_port_keeps_loses_nothing(script, monkeypatch):
+    report, _ = sent_to_a_sleeper(script, monkeypatch, 1, 16)  # with the 8th to the 16th row: above 12 kB, below 77
+    assert report["dropped_frames"] == 0
+
+
+def test_a_reader_that_sleeps_loses_whole_rows_and_none_is_torn(script, monkeypatch):
+    report, reader = sent_to_a_sleeper(script, monkeypatch, 3, 200)
+    assert 40 < report["dropped_frames"] < 200
+    assert len(reader.of("command")) == len(reader.of("state"))
+    assert not any(reader.counts[kind] for kind in ("crc_failures", "garbage_bytes", "oversize"))
 
 
 def test_without_a_reader_all_is_lost(script):

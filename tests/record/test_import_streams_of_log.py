@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from candata.errors import CandataError
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.import_recipe import ImportRecipe
+from candata.record.importing import import_log
 from candata.record.log_streams import LoggedStream, SignalMeta, StreamMeta
 from tests.record.made_logs import JOINTS, RECIPE, START, make_log, scene, swing
 

@@ -100,13 +100,18 @@ def test_a_log_without_a_frame_has_empty_arrays(tmp_path):
 
 
 def test_the_calibration_reads_back(tmp_path, rng):
-    bias = Calibration(rng.normal(size=(3, 3)), rng.normal(size=(3, 4, 3)), 240, 3.0, np.ones((3, 3)), np.zeros(2))
+    bias = Calibration(rng.normal(size=(3, 3)), rng.normal(size=(3, 4, 3)), 240, 3.0, np.ones((3, 3)), np.zeros(2), 7)
     writer = LogWriter(tmp_path / "log.mcap", META)
     writer.calibration(bias)
     writer.close()
     read = read_log(tmp_path / "log.mcap").calibration
     for name, value in vars(bias).items():
         np.testing.assert_array_equal(getattr(read, name), value)
+    endless = LogWriter(tmp_path / "endless.mcap", META)
+    endless.calibration(replace(bias, end_ns=float("inf")))
+    endless.close()
+    with pytest.raises(DataError, match="does not hold what its metadata says"):
+        read_log(tmp_path / "endless.mcap")
 
 
 def test_what_was_flushed_is_read_without_an_end(tmp_path, states):

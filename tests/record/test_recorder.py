@@ -20,7 +20,8 @@ from candata.record.emulate import play
 from candata.record.emulate_faults import parse_faults
 from candata.record.emulate_line import Line
 from candata.record.emulate_script import write_script
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.import_recipe import ImportRecipe
+from candata.record.importing import import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import RecorderSettings
@@ -228,6 +229,22 @@ def test_unplug_and_replug_go_on_in_the_same_file(hand, tmp_path):
     assert np.diff(log.state_time_ns).max() > 0.4e9
     assert (log.state_time_ns > unplug["back_ns"]).sum() > 10
     assert log.statistics[-1]["unplugs"] == [unplug]
+
+
+def test_a_hand_unplugged_while_it_is_calibrated_is_imported_from_the_new_calibration_on(hand, tmp_path):
+    one, path = hand(), tmp_path / "log.mcap"
+
+    def replug():
+        one.unplug()
+        one.plug()
+
+    watcher = Watcher(when=lambda view: view.frames["state"] > 15, act=replug)
+    report, _ = run(one.port, path, watcher, calibrate_s=0.4, duration_s=0.4)
+    assert len(report.facts["unplugs"]) == 1
+    log = read_log(path)
+    assert log.calibration.end_ns > report.facts["unplugs"][0]["back_ns"] + 0.35e9
+    episode = import_log(path, log, ImportRecipe(episode="run")).episode
+    assert episode["time_ns"][0] >= log.calibration.end_ns
 
 
 def test_a_port_that_stays_away_ends_in_a_whole_file(hand, tmp_path):

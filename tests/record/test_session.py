@@ -11,7 +11,7 @@ def typed(keys: str) -> Session:
     """Type a key each second; keys that make no mark are passed over."""
     session = Session()
     for second, key in enumerate(keys):
-        mark = session.typed(key)
+        mark = session.typed(key, second * 10**9)
         if mark is not None:
             session.mark(mark, second * 10**9, "key", key)
     return session
@@ -47,6 +47,14 @@ def test_marks_lead_to_the_same_session_again():
     again = replay(session.marks)
     assert again.marks == session.marks
     assert again.episodes == session.episodes
+
+
+def test_lost_marks_give_no_episode_another_number():
+    marks = typed(" s  d  l ").marks
+    assert [mark.mark for mark in marks] == ["begin", "success", "end", "begin", "drop", "end", "begin", "slip", "end"]
+    first, second, third = typed(" s  d  l ").episodes
+    assert replay(marks[3:]).episodes == [second, third]
+    assert replay(marks[:1] + marks[4:]).episodes == [first.model_copy(update={"end_ns": None, "outcome": None}), third]
 
 
 def played(plan: SessionPlan, touching: list[bool]) -> list[tuple[int, int | None]]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from candata import plugins
-from candata.errors import DataError
+from candata.errors import DataError, SetupError, UsageError
+from candata.record.import_recipe import ImportRecipe
 from candata.record.import_session import cut_episodes
-from candata.record.importing import ImportRecipe, import_log
+from candata.record.importing import import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import RecorderSettings
@@ -22,37 +24,45 @@ from candata.schema.session import SessionFile
 from tests.record.conftest import frames_of
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
-CALIBRATE_S = 0.4
+CALIBRATE_S, BETWEEN_KEYS_NS = 0.4, 220_000_000
 #: What the keys of the first test make.
 MARKS = ["success", "begin", "success", "end", "begin", "discard", "end", "begin", "end"]
 
 
-def run(port, folder, plan=None, keys=(), at=None, rule=None, duration_s=None):
-    """Record a session; each of `keys` is typed once so many states were shown, and `at[states]` is done then."""
-    notes, states, typed, actions = [], [0], list(keys), dict(at or {})
+def run(port, folder, plan=None, keys=(), at=None, rule=None, show=None, device=DEVICE, **settings):
+    """Record a session; each of `keys` is typed once so many states were shown, and `at[states]` is done then.
+
+    `keys` may be what reads them; then `show` is given what is shown.
+    """
+    notes, states, last_ns, actions = [], [0], [0], dict(at or {})
+    typed = [] if callable(keys) else list(keys)
 
     def read_keys():
         pressed = [key for count, key in typed if count <= states[0]]
         typed[:] = [(count, key) for count, key in typed if count > states[0]]
-        return [(time.monotonic_ns(), key) for key in pressed]
+        # On a busy machine many states are shown at once; a person takes longer than that between two keys.
+        first_ns = max(time.monotonic_ns(), last_ns[0] + BETWEEN_KEYS_NS)
+        stamped = [(first_ns + k * BETWEEN_KEYS_NS, key) for k, key in enumerate(pressed)]
+        last_ns[0] = stamped[-1][0] if stamped else last_ns[0]
+        return stamped
 
-    def show(view):
+    def look(view):
         states[0] = view.frames["state"]
         for count in [count for count in actions if count <= states[0]]:
             actions.pop(count)()
 
-    session = RunningSession(plan or SessionPlan(), read_keys, notes.append)
+    session = RunningSession(plan or SessionPlan(), keys if callable(keys) else read_keys, notes.append)
     report = record(
-        DEVICE,
+        device,
         port,
         folder / LOG_NAME,
         name="xhand",
         settings=RecorderSettings(
-            duration_s=duration_s, calibrate_s=CALIBRATE_S, reserve_bytes=0, contact=rule or ContactRule()
+            **{"calibrate_s": CALIBRATE_S, "reserve_bytes": 0, "contact": rule or ContactRule(), **settings}
         ),
         overrides={"session": folder.name},
         session=session,
-        show=show,
+        show=show or look,
         say=notes.append,
     )
     return report, notes
@@ -72,8 +82,8 @@ def test_keys_make_episodes_with_outcomes_and_an_unplugged_hand_loses_no_mark(ha
         time.sleep(0.3)
         one.plug()
 
-    keys = [(36, "s"), (37, " "), (100, "s"), (101, " "), (120, " "), (121, "x"), (140, " "), (160, " "), (161, "q")]
-    report, notes = run(one.port, folder, keys=keys, at={70: replug}, duration_s=2.6)
+    keys = [(36, "s"), (37, " "), (90, "s"), (91, " "), (131, " "), (132, "x"), (172, " "), (212, " "), (213, "q")]
+    report, notes = run(one.port, folder, keys=keys, at={70: replug}, duration_s=3.2)
     assert report.failure is None
     assert report.facts["drift"]["beyond_noise"] == []
     assert len(report.facts["unplugs"]) == 1
@@ -116,7 +126,10 @@ def test_episodes_begin_by_contact_and_drift_is_said_when_beyond_the_noise(hand,
     assert any("the forces drifted at thumb_rota2" in note for note in notes)
     (found,) = episodes_of(folder, threshold_n=0.5, release_n=0.15).episodes
     assert found.meta.contact_rule.release_n == 0.15
-    assert found["contact"].mean() == pytest.approx(30 / (30 + 8.3), abs=0.1)
+    # Between release and threshold contact goes on; a busy machine leaves some rows out, after which it does not.
+    between = np.isclose(found["fingertip_force"][:, 1, 2], 0.2, atol=1e-3)
+    assert (found["contact"] & between).any()
+    assert found["contact"].mean() < (30 + 2) / 38
 
 
 def test_the_last_episode_ends_with_the_recording_and_is_judged_while_the_drift_is_checked(hand, tmp_path):
@@ -148,3 +161,47 @@ def test_a_session_of_discarded_episodes_is_refused(hand, tmp_path):
     run(hand().port, folder, keys=[(40, " "), (50, "x"), (51, " ")], duration_s=0.5)
     with pytest.raises(DataError, match="no episode is left of the session"):
         episodes_of(folder)
+
+
+def test_the_space_bar_in_the_moment_of_a_begin_by_contact_ends_no_episode(hand, tmp_path):
+    force = np.zeros((400, 5, 3), int)
+    force[60:, 1, 2] = 9
+    typed, begun = [], []
+
+    def keys():
+        pressed, typed[:] = list(typed), []
+        return pressed
+
+    def note_begin(view):
+        if view.session.episodes and not begun:
+            begun.append(view.session.episodes[0].begin_ns)
+            typed.append((begun[0] - 20_000_000, " "))  # just before the fingertip touched
+            typed.append((begun[0] + 150_000_000, " "))
+            typed.append((begun[0] + 500_000_000, " "))
+
+    one = hand(position=np.zeros((400, 12)), force=force)
+    report, notes = run(one.port, tmp_path / "touch", SessionPlan(1, None, 0.1, True), keys, show=note_begin)
+    (episode,) = report.facts["episodes"]
+    assert episode["end_ns"] - episode["begin_ns"] == 500_000_000
+    assert sum("under way: this begin is kept" in note for note in notes) == 2
+
+
+def test_contact_begins_no_episode_of_a_hand_without_fingertips_or_calibration(tmp_path):
+    # The port is not there: nothing opens it.
+    for words, settings in (("without fingertips", {}), ("not calibrated", {"calibrate_s": 0.0})):
+        device = DEVICE if settings else replace(DEVICE, fingertip_names=())
+        with pytest.raises(UsageError, match=words):
+            run(str(tmp_path / "nowhere"), tmp_path / "touch", SessionPlan(on_contact=True), device=device, **settings)
+
+
+@pytest.mark.parametrize(("hush_at", "problem"), [(70, "the hand fell silent"), (0, "the port gave no byte")])
+def test_a_session_whose_hand_is_silent_ends_with_what_it_has(hush_at, problem, hand, tmp_path):
+    one, folder = hand(silent=not hush_at), tmp_path / "silent"
+    plan = SessionPlan(2, None, 0.1, True)
+    report, notes = run(one.port, folder, plan, [(45, " ")], {hush_at: one.hush}, silence_s=0.5, patience_s=0.4)
+    assert isinstance(report.failure, SetupError)
+    assert problem in report.failure.problem
+    assert sum("no bytes for" in note for note in notes) == 1
+    assert len(report.facts["episodes"]) == (1 if hush_at else 0)
+    if hush_at:
+        assert len(episodes_of(folder).episodes) == 1

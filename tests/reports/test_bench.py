@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from candata.reports.bench import bench_page, bench_text, target_text, value_text, write_bench
+from candata.reports.bench import bench_page, bench_text, mark_text, target_text, value_text, write_bench
 from candata.reports.heat import confusion
 from candata.schema.bench import BenchFile, BenchRow, Bin, Miss
 
@@ -51,6 +51,14 @@ def test_the_page_is_self_contained_and_escapes_what_it_shows(bench, tmp_path):
     assert BenchFile.model_validate_json((tmp_path / "bench.json").read_text()) == bench
 
 
+def test_rows_that_need_a_word_are_explained_where_they_are(bench):
+    honest = BenchRow(measure="log score of support, silence counted", value=0.5, n=4, unit="")
+    page = bench_page(bench.model_copy(update={"rows": (*ROWS, honest)}))
+    assert "each of an ambiguous class of n 1/n" in page
+    assert "over the deviation" not in page
+    assert "How to read" not in bench_page(bench)
+
+
 def test_a_confusion_map_puts_right_names_on_its_diagonal():
     table = confusion({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})
     assert re.findall(r'<th scope="col">(\w+)</th>', table) == ["a", "b", "no_gap"]
@@ -82,3 +90,5 @@ def test_units_and_targets_in_words():
     assert target_text(BenchRow(measure="m", value=1, n=1, low=85, high=95)) == "85 to 95 %"
     assert target_text(BenchRow(measure="m", value=1, n=1, high=20, unit="s")) == "<= 20 s"
     assert target_text(BenchRow(measure="m", value=1, n=1)) == ""
+    assert mark_text(BenchRow(measure="m", value=1, n=1, low=-2, high=2, interval=(0.5, 1.51))) == "met (0.5 to 1.5)"
+    assert mark_text(BenchRow(measure="m", value=3, n=1, high=2)) == "MISSED"

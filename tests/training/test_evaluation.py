@@ -130,6 +130,16 @@ def test_test_episodes_that_an_ancestor_has_seen_are_refused_with_their_ids(make
     assert found.models["tuned"].seen_episodes == len(seen)
 
 
+def test_a_dataset_that_grew_is_evaluated_by_the_split_of_the_run(make_run, dataset):
+    data = dataset()
+    run = make_run(data, "run")
+    before = evaluate([run], data, QUICK)[0].forecasters["run"]
+    append(data.path, dataset("more", episodes=20).episodes(), Lineage(operation="test"))
+    grown = open_dataset(data.path)
+    assert (len(grown), grown.digests) == (30, (grown.digest, data.digest))
+    assert evaluate([run], grown, QUICK)[0].forecasters["run"] == before
+
+
 def test_a_long_list_of_seen_ids_is_cut():
     run = SimpleNamespace(name="run", checkpoint=SimpleNamespace(path="run/best.safetensors"))
     with pytest.raises(UsageError, match=r"9 seen: e0, e1, e2, e3, e4 and 4 more"):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import Bed, make_bed
+from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.blind.signatures import Signature, least_squares, signatures
@@ -26,7 +27,7 @@ from candata.gap.folds import folds, rest
 from candata.gap.replay import EffectSet
 from candata.gap.robust import rho
 from candata.gap.score import Compact
-from candata.scenes import Scene, load_scene
+from candata.scenes import Scene
 from candata.schema.bench import CaseResult, CaseResults, Label
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, Gap, NamedEffect, Report, UnknownCause
 from candata.simulate.crew import Crew, alone
@@ -238,13 +239,11 @@ def _told(dataset: Dataset, label: Label) -> Report:
 
 
 def baseline_case(
-    folder: str, scene: str, sealed: str, label: str, methods: tuple[str, ...], seed: int, common: str
+    folder: str, scene: NominalScene, sealed: str, label: str, methods: tuple[str, ...], seed: int, common: str
 ) -> CaseResults:
     """Return what each baseline says of a case in a folder; runs in any process."""
     path = Path(folder)
-    found = baseline_reports(
-        open_dataset(path), load_scene(scene), Label.model_validate_json(label), methods, seed, common
-    )
+    found = baseline_reports(open_dataset(path), scene.load(), Label.model_validate_json(label), methods, seed, common)
     return CaseResults(
         sealed=sealed,
         results=tuple(

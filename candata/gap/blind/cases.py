@@ -11,6 +11,7 @@ whose texts are `Label` records. `sealed` is sha256 over the bytes of the text a
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -24,6 +25,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
 from candata.gap.conclusion import lasting
+from candata.gap.noise import scaled_noise
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode
@@ -35,6 +37,8 @@ from candata.simulate.jobs import possible_policies
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 CASE, LABELS, CASES = "case.json", "sealed.json", "cases"
+#: Salt of cases that are kept to train on: no secret, so that the same command draws the same cases anywhere.
+TRAINING_SALT = hashlib.sha256(b"candata training bench").hexdigest()
 Told = Callable[[str], None]
 
 
@@ -48,6 +52,7 @@ def seal_labels(
     duration_s: float = 3.2,
     only: Sequence[str] = (),
     live: Callable[[], Sequence[str]] = lambda: (),
+    noise: str = "declared",
     salt: str | None = None,
 ) -> LabelsFile:
     """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
@@ -68,14 +73,24 @@ def seal_labels(
         Effects that were asked for; all, when empty.
     live : callable
         Returns the effects to draw from; asked for a fresh draw alone.
+    noise : str
+        What diagnoses are told of the sensors' noise, as in `draw_labels`.
     salt : str, optional
         The secret, hex of 32 bytes; random by default.
 
     Raises
     ------
     UsageError
-        When the run that stands there was asked for something else.
+        When the run that stands there was asked for something else, or when the scene declares no noise that could be
+        wrong or withheld.
     """
+    if noise != "declared" and scene.file.noise is None:
+        raise UsageError(
+            f"scene {scene.name} declares no noise",
+            expected="`noise` in the scene file",
+            found=f"cases with noise that is {noise}",
+            fix="leave --noise out, or declare the sensors' noise",
+        )
     asked: dict[str, str | int | float] = {
         "scene": scene.name,
         "scene_digest": scene.digest,
@@ -84,25 +99,34 @@ def seal_labels(
         "duration_s": duration_s,
         "only": ",".join(only),
         **{f"count_{k}": n for k, n in counts.items()},
+        **({} if noise == "declared" else {"noise": noise}),
     }
     path = out / LABELS
     if not path.exists():
         secret = salt or new_salt()
         rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
-        drawn = draw_labels(scene, counts, rng, live() or only)
+        drawn = draw_labels(scene, counts, rng, live() or only, noise)
         write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
-    return standing_labels(out, asked)
+    return standing_labels(out, asked, salt)
 
 
-def standing_labels(out: Path, asked: dict[str, str | int | float]) -> LabelsFile:
+def standing_labels(out: Path, asked: dict[str, str | int | float], salt: str | None = None) -> LabelsFile:
     """Return the labels that stand in the folder of a run.
 
     Raises
     ------
     UsageError
-        When the run that stands there was asked for something else.
+        When the run that stands there was asked for something else, or drawn from another salt than a given one.
     """
     found = read_labels(out / LABELS)
+    if salt not in (None, found.salt):
+        raise UsageError(
+            "the folder holds cases that were drawn from another salt",
+            expected="no cases, or those of the same command",
+            found="other cases",
+            where=Where(path=str(out)),
+            fix="choose another folder",
+        )
     other = [k for k in {*asked, *found.asked} if asked.get(k) != found.asked.get(k)]
     if other:
         raise UsageError(
@@ -185,7 +209,12 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     made = hidden_world(scene, label, plans, duration_s)
     shutil.rmtree(path, ignore_errors=True)
     case = CaseFile(
-        name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
+        name=path.name,
+        scene=_seen_from(scene_name, path),
+        scene_digest=scene.digest,
+        episodes=episodes,
+        sealed=sealed,
+        noise_declared=label.noise != "undeclared",
     )
     with draft_beside(path) as drafts:
         draft = drafts / path.name
@@ -202,7 +231,7 @@ def hidden_world(scene: Scene, label: Label, plans: Sequence[EpisodeJob], durati
     Parameters
     ----------
     scene : Scene
-        The nominal scene.
+        The scene with the noise that it declares, whatever a diagnosis is told.
     label : Label
         The truth.
     plans : sequence of Job
@@ -210,8 +239,9 @@ def hidden_world(scene: Scene, label: Label, plans: Sequence[EpisodeJob], durati
     duration_s : float
         Length of an episode [s]; a motion has its own.
     """
-    alter = alter_with(scene, label.outside)
-    return make_episodes(scene, plans, duration_s=duration_s, noise=scene.file.noise, alter=alter)
+    alter, declared = alter_with(scene, label.outside), scene.file.noise
+    noise = declared if declared is None or label.noise_factor == 1 else scaled_noise(declared, label.noise_factor)
+    return make_episodes(scene, plans, duration_s=duration_s, noise=noise, alter=alter)
 
 
 def _seen_from(scene: str, folder: Path) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from candata.effects import Parameter, active, effect, effect_names, effects_with, parameters_on, setting
 from candata.gap.blind.outside import draw_outside, possible_outside
 from candata.scenes import Scene
-from candata.schema.bench import Kind, Label
+from candata.schema.bench import Kind, Label, NoiseCase
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import draw_parameter
 
@@ -29,6 +29,16 @@ COUNTS: dict[Kind, int] = {
 }
 #: Relative error of everything in a background, 1 sd; of what the model lacks, as a share of a clear fault.
 BACKGROUND = 0.05
+#: Kinds of noise that take turns, by what is asked for.
+NOISES: dict[str, tuple[NoiseCase, ...]] = {
+    "declared": ("declared",),
+    "misdeclared": ("misdeclared",),
+    "undeclared": ("undeclared",),
+    "mixed": ("declared", "misdeclared", "undeclared"),
+}
+#: True noise over declared noise where that is wrong, drawn evenly in its logarithm. Chosen: a data sheet, or a
+#: measurement of another day, is seldom off by more than a factor of two.
+MISDECLARED = (0.5, 2.0)
 #: An object half as heavy again, on top of a solver mismatch.
 HEAVY = 1.5
 
@@ -40,7 +50,11 @@ def possible_effects(scene: Scene, only: Sequence[str] = ()) -> tuple[str, ...]:
 
 
 def draw_labels(
-    scene: Scene, counts: dict[Kind, int], rng: np.random.Generator, only: Sequence[str] = ()
+    scene: Scene,
+    counts: dict[Kind, int],
+    rng: np.random.Generator,
+    only: Sequence[str] = (),
+    noise: str = "declared",
 ) -> list[Label]:
     """Return the labels of a run in random order; names take turns, so that each comes as often.
 
@@ -54,8 +68,11 @@ def draw_labels(
         From the secret salt.
     only : sequence of str
         Effects to draw from; all that can act, when empty.
+    noise : str
+        One of `NOISES`: what the diagnosis is told of the sensors' noise; a mixture takes turns within each kind.
     """
     drawn = [label for kind, count in counts.items() for label in _of_kind(scene, kind, count, rng, only)]
+    drawn = [_with_noise(label, NOISES[noise][i % len(NOISES[noise])], rng) for i, label in enumerate(drawn)]
     order = rng.permutation(len(drawn))
     return [
         drawn[k].model_copy(update={"case": f"case-{i + 1:04d}", "seed": int(rng.integers(2**62))})
@@ -69,6 +86,12 @@ def _of_kind(scene: Scene, kind: Kind, count: int, rng: np.random.Generator, onl
     if kind == "null":
         return [Label(case="", kind=kind)] * count
     return [_MAKERS[kind](scene, name, i, rng, pool) for i, name in enumerate(_turns(pool, count, rng))]
+
+
+def _with_noise(label: Label, noise: NoiseCase, rng: np.random.Generator) -> Label:
+    """Return a label with a kind of noise, its factor drawn where it is declared wrongly."""
+    factor = float(np.exp(rng.uniform(*np.log(MISDECLARED)))) if noise == "misdeclared" else 1.0
+    return label.model_copy(update={"noise": noise, "noise_factor": factor})
 
 
 def _turns(names: Sequence[str], count: int, rng: np.random.Generator) -> list[str]:
@@ -97,6 +120,11 @@ def _farthest(found: Sequence[Parameter], scene: Scene) -> float:
 def neutral(name: str, scene: Scene) -> Array:
     """Return `(d,)` values at which an effect vanishes or comes closest to the model's own."""
     return np.concatenate([np.full(p.size(scene), _own(p, scene)) for p in effect(name).parameters])
+
+
+def own_values(name: str, scene: Scene, element: str | None = None) -> dict[str, float]:
+    """Return the model's own value of each parameter, of every number of a vector; NaN where there is none."""
+    return {p.name: _own(p, scene) for p in parameters_on(name, scene, element)}
 
 
 def _own(p: Parameter, scene: Scene) -> float:

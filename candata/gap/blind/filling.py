@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, Where
+from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.running import Place
 from candata.gap.conclusion import lasting
 from candata.gap.diagnosis import posed
@@ -25,7 +26,6 @@ from candata.gap.signatures import alike
 from candata.gap.starts import Starts, starts
 from candata.gap.verdict import FEWEST
 from candata.gap.wanted import Depth, wanted
-from candata.scenes import load_scene
 from candata.scenes.traits import is_toss
 from candata.schema.bench import FilledSignature
 
@@ -53,6 +53,8 @@ class Source(NamedTuple):
         Effects to search among; all that can act and show when empty.
     shared : bool
         For other recordings of the same commands, to which a sensor at fault says another start.
+    noise_declared : bool
+        Whether the diagnoses are told the noise that the scene declares.
     """
 
     dataset: str
@@ -62,6 +64,7 @@ class Source(NamedTuple):
     seed: int = 0
     only: tuple[str, ...] = ()
     shared: bool = False
+    noise_declared: bool = True
 
 
 class Plan(NamedTuple):
@@ -117,11 +120,12 @@ def shared_by(places: Sequence[Place], cache: Path, seed: int) -> Source | None:
     Cases share commands, but a sensor at fault can shift where one of them starts.
     """
     looked = [(p, b) for p in places[:PEEK] if (b := _begun(p)) is not None and not is_toss(b.replayer.scene)]
-    shared = [sum(p.scene == q.scene and alike(a.replayer, a.begun, b.begun) for q, b in looked) for p, a in looked]
+    shared = [sum(p.nominal == q.nominal and alike(a.replayer, a.begun, b.begun) for q, b in looked) for p, a in looked]
     if len(looked) < 2 or 2 * max(shared) <= len(looked):
         return None
     place = looked[shared.index(max(shared))][0]
-    return source(place.folder, place.scene, cache, seed)._replace(shared=True)
+    found = source(place.folder, place.scene, cache, seed)
+    return found._replace(shared=True, noise_declared=place.noise_declared)
 
 
 class _Begun(NamedTuple):
@@ -134,7 +138,7 @@ class _Begun(NamedTuple):
 def _begun(place: Place) -> _Begun | None:
     """Return what a case recorded; None where it cannot be read, which its own diagnosis says."""
     try:
-        scene = load_scene(place.scene)
+        scene = place.nominal.load()
         recs = read(scene, open_dataset(place.folder))
         return _Begun(Replayer(scene), (recs, starts(scene, recs)))
     except CandataError:
@@ -144,7 +148,10 @@ def _begun(place: Place) -> _Begun | None:
 @lru_cache(maxsize=1)
 def _posed(some: Source, depth: Depth) -> list[tuple[Problem, EffectSet]]:
     """Return the wanted signatures of a source, posed once a process as a diagnosis poses its problem."""
-    replayer, data = Replayer(load_scene(some.scene)), open_dataset(some.dataset, some.version)
+    replayer, data = (
+        Replayer(NominalScene(some.scene, some.noise_declared).load()),
+        open_dataset(some.dataset, some.version),
+    )
     found = posed(data, replayer, some.seed, Path(some.cache), some.only, share=True)
     if found.problem is None:
         raise DataError(

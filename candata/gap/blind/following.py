@@ -11,13 +11,12 @@ from pathlib import Path
 
 from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.gap.blind.cases import hidden_world
-from candata.gap.blind.running import CACHE, Place, finished, run_case, spread
+from candata.gap.blind.running import CACHE, Answer, Place, finished, run_case, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.proposal import PLAYED
-from candata.scenes import Scene
+from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.manifest import Lineage
-from candata.schema.report import Report
 from candata.simulate.crew import Crew, alone
 from candata.simulate.episodes import EpisodeJob
 
@@ -76,15 +75,15 @@ def proposes(result: CaseResult) -> bool:
 
 def again(
     case: Dataset, scene: Scene, seed: int, cache: Path | None, *, label: str, folder: str, sealed: str
-) -> Report:
-    """Return the report of a case with the proposed motion recorded beside its own, in `folder`; a judge of cases.
+) -> Answer:
+    """Return the answer to a case with the proposed motion recorded beside its own, in `folder`; a judge of cases.
 
     The first diagnosis is done again, as its motion was not kept; should it be ambiguous no more, that is the result.
     """
     truth = Label.model_validate_json(label)
-    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache, calibrate=False)
+    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache, calibrate=False, shared_signatures=True)
     if not found.report.ambiguous_class or not found.motion:
-        return found.report
+        return Answer(found.report)
     turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]
     plans = [
         EpisodeJob(
@@ -102,5 +101,9 @@ def again(
     both = Path(folder)
     shutil.rmtree(both, ignore_errors=True)
     create_dataset(both, both.name)
-    append(both, [*case, *hidden_world(scene, truth, plans)], Lineage(operation="blind case", sealed=sealed))
-    return diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache, calibrate=False).report
+    append(
+        both,
+        [*case, *hidden_world(load_scene(scene.name), truth, plans)],
+        Lineage(operation="blind case", sealed=sealed),
+    )
+    return Answer(diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache, calibrate=False).report)

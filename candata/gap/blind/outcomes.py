@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effects_with
-from candata.schema.bench import CaseResult, Kind, Label, Shares
+from candata.schema.bench import CaseResult, FreshGap, Kind, Label, Shares
 from candata.schema.report import Estimate, NamedEffect
 
 Array = NDArray[np.float64]
@@ -28,11 +28,17 @@ class Outcome:
         What was said.
     shares : Shares or None
         What each true contributor is worth; None where there is none in the library.
+    nominal : dict of str to dict of str to float
+        The model's own value of each parameter of each effect that is hidden or named, by its text.
+    fresh : FreshGap or None
+        How far the named effects close the gap on fresh episodes; None where that was not measured.
     """
 
     label: Label
     result: CaseResult
     shares: Shares | None = None
+    nominal: dict[str, dict[str, float]] = field(default_factory=dict)
+    fresh: FreshGap | None = None
 
     @property
     def kind(self) -> Kind:
@@ -95,6 +101,17 @@ class Outcome:
         """Share of the gap that was closed."""
         gap = self.result.report.gap if self.result.report else None
         return gap.closed if gap else None
+
+    @property
+    def closed_fresh(self) -> float | None:
+        """Share of the gap that the named effects close on fresh episodes."""
+        gap = self.fresh.gap if self.fresh else None
+        return gap.closed if gap else None
+
+    @property
+    def overclaimed(self) -> float | None:
+        """The closed share as the report says, less that on fresh episodes."""
+        return None if self.closed is None or self.closed_fresh is None else self.closed - self.closed_fresh
 
     @property
     def wrong_names(self) -> tuple[str, ...]:

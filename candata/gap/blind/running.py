@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, TypeVar
 
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
-from candata.gap.conclusion import lasting
+from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.diagnosis import diagnose
-from candata.scenes import Scene, load_scene
+from candata.scenes import Scene
 from candata.schema.bench import CaseResult
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
@@ -22,28 +22,44 @@ from candata.schema.report import Report
 from candata.simulate.crew import Crew, alone
 
 RESULTS, CACHE = "results.jsonl", "cache"
-Judge = Callable[[Dataset, Scene, int, Path | None], Report]
 #: Cases diagnosed with nothing kept, to tell what a first one costs: one, and of many one in so many, up to so many.
 COLD_EACH, COLD = 40, 3
 R = TypeVar("R", bound=Record)
 
 
+class Answer(NamedTuple):
+    """What a method says of a case, and what it simulated for it, in replays of all of its episodes."""
+
+    report: Report
+    replays: float | None = None
+
+
+Judge = Callable[[Dataset, Scene, int, Path | None], Answer]
+
+
 class Place(NamedTuple):
-    """Where a case lies: its folder, what `load_scene` takes for its scene, and the hash of its label."""
+    """Where a case lies: its folder, what `load_scene` takes, the hash of its label; whether its noise is declared."""
 
     folder: Path
     scene: str
     sealed: str
+    noise_declared: bool = True
 
     @property
-    def anywhere(self) -> tuple[str, str, str]:
+    def nominal(self) -> NominalScene:
+        """The simulator in which it is diagnosed."""
+        return NominalScene(self.scene, self.noise_declared)
+
+    @property
+    def anywhere(self) -> tuple[str, NominalScene, str]:
         """The same in plain words that hold in any process: folder and scene file by their whole paths."""
-        return str(self.folder.resolve()), lasting(self.scene), self.sealed
+        return str(self.folder.resolve()), self.nominal.anywhere, self.sealed
 
 
-def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Report:
-    """Return candata's own report of a dataset; signatures are kept in `cache`, or not at all."""
-    return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False).report
+def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Answer:
+    """Return candata's own answer to a dataset; signatures are kept in `cache`, or not at all."""
+    found = diagnose(dataset, scene, jobs=1, seed=seed, cache=cache, calibrate=False, shared_signatures=True)
+    return Answer(found.report, found.replays)
 
 
 def run_cases(
@@ -70,7 +86,7 @@ def run_cases(
     seed : int
         Seed of each diagnosis.
     judge : callable
-        `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module. The first case, of many
+        `(dataset, scene, seed, cache) -> Answer`; for other processes a function of a module. The first case, of many
         the first few, is diagnosed with no cache: what it costs is what a diagnosis costs that finds nothing kept. The
         same holds for a case that shares its scene with no other.
     method : str
@@ -82,9 +98,9 @@ def run_cases(
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
     standing = known(out, method)
-    sharing = Counter(p.scene for p in cases)
+    sharing = Counter(p.nominal for p in cases)
     cold = {p.sealed for p in cases[: min(max(len(cases) // COLD_EACH, 1), COLD)]}
-    cold |= {p.sealed for p in cases if sharing[p.scene] == 1}
+    cold |= {p.sealed for p in cases if sharing[p.nominal] == 1}
     tasks = [
         (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
         for p in cases
@@ -140,17 +156,17 @@ def in_time(until: float, work: Callable[..., R], *task: Any) -> R | None:
 
 
 def run_case(
-    folder: str, scene: str, sealed: str, seed: int, method: str, judge: Judge, cache: str | None
+    folder: str, scene: NominalScene, sealed: str, seed: int, method: str, judge: Judge, cache: str | None
 ) -> CaseResult:
     """Return the result of one case; without a cache it is a cold one.
 
     A method that fails on a case has not solved it: the failure is the result.
     """
     path = Path(folder)
-    world = load_scene(scene)
-    start, report, error = time.process_time(), None, None
+    world = scene.load()
+    start, answer, error = time.process_time(), None, None
     try:
-        report = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
+        answer = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
     except CandataError as problem:
         error = problem.problem
     spent = time.process_time() - start
@@ -161,7 +177,8 @@ def run_case(
         cpu_s=spent,
         cold=cache is None,
         process=os.getpid(),
-        report=report,
+        replays=answer.replays if answer else None,
+        report=answer.report if answer else None,
         error=error,
     )
 

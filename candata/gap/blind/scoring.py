@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.blind.honesty import brier_score, honest_rows, is_scored, log_score
 from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
-from candata.gap.blind.traits import percent, trait_rows
-from candata.schema.bench import BenchFile, BenchRow, Bin, FilledSignature, Kind, Miss
+from candata.gap.blind.rows import percent, quantile
+from candata.gap.blind.traits import trait_rows
+from candata.schema.bench import BenchFile, BenchRow, Bin, CaseScore, FilledSignature, Kind, Miss
 
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
@@ -58,7 +60,35 @@ def score_run(
         misses=tuple(m for o in outcomes if (m := miss(o))),
         confusion=confusion(outcomes),
         calibration=calibration(outcomes),
+        scores=tuple(_scored(o) for o in outcomes),
     )
+
+
+def _scored(o: Outcome) -> CaseScore:
+    """Return the score of one case."""
+    return CaseScore(
+        case=o.label.case,
+        sealed=o.result.sealed,
+        kind=o.kind,
+        noise=o.label.noise,
+        right=_why(o) is None,
+        log_score=log_score(o) if is_scored(o) else None,
+        brier_score=brier_score(o) if is_scored(o) else None,
+        overclaimed=o.overclaimed,
+    )
+
+
+def _noise_rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
+    """Return how many cases of each kind of noise that is not as declared are right, and how many nulls are named."""
+    rows = []
+    for noise in ("misdeclared", "undeclared"):
+        cases = [o for o in outcomes if o.label.noise == noise]
+        nulls = [o for o in cases if o.kind == "null"]
+        rows += [
+            percent(f"noise {noise}: right", (_why(o) is None for o in cases)),
+            percent(f"noise {noise}, null: an effect named", (bool(o.named) for o in nulls), high=3),
+        ]
+    return rows
 
 
 def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
@@ -78,6 +108,8 @@ def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
         *_mismatch(of("background"), of("solver")),
         *_local(of("local")),
         *_honesty(outcomes, of("one", "quarter", "local")),
+        *honest_rows(outcomes, of("one"), of("quarter")),
+        *_noise_rows(outcomes),
         *_cost(outcomes),
     ]
 
@@ -95,11 +127,11 @@ def _single(one: list[Outcome], quarter: list[Outcome]) -> list[BenchRow]:
         percent("one effect: and nothing else", (o.named == o.truth for o in one)),
         percent("a quarter of the magnitude: first", (o.first for o in quarter), low=88),
         percent("a quarter: first, where it is worth 0.1 floors", (o.first for o in quarter if o.plain)),
-        _quantile("parameter error: median", errors, 0.5, high=2),
-        _quantile("parameter error: 90th percentile", errors, 0.9, high=12),
-        _quantile("parameter error of a quarter: median", weak, 0.5),
-        _quantile("gap closed when right: median", closed, 0.5, low=98),
-        _quantile("gap closed when right: 10th percentile", closed, 0.1, low=90),
+        quantile("parameter error: median", errors, 0.5, high=2),
+        quantile("parameter error: 90th percentile", errors, 0.9, high=12),
+        quantile("parameter error of a quarter: median", weak, 0.5),
+        quantile("gap closed when right: median", closed, 0.5, low=98),
+        quantile("gap closed when right: 10th percentile", closed, 0.1, low=90),
     ]
 
 
@@ -141,7 +173,7 @@ def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[BenchRow
     return [
         percent("all 5 % wrong + one: largest true contributor first", (o.first for o in background), low=90),
         percent("all 5 % wrong + one: the drawn one first", (o.named[:1] == (o.label.main,) for o in background)),
-        _quantile("all 5 % wrong + one: gap closed, median", closed, 0.5, low=90),
+        quantile("all 5 % wrong + one: gap closed, median", closed, 0.5, low=90),
         percent("solver mismatch: found or flagged", (o.flagged for o in solver), low=100),
         percent(
             "solver mismatch: 50 % mass error on top, first or second",
@@ -202,14 +234,6 @@ def _filling(filled: Sequence[FilledSignature]) -> BenchRow:
     """Return CPU time of what all cases share, counted by signatures."""
     spent = sum(one.cpu_s for one in filled)
     return BenchRow(measure="CPU s of the signatures kept before, once for all", value=spent, n=len(filled), unit="s")
-
-
-def _quantile(
-    measure: str, values: Sequence[float], q: float, low: float | None = None, high: float | None = None
-) -> BenchRow:
-    """Return a row that is a quantile of shares, in percent."""
-    value = 100 * float(np.quantile(values, q)) if len(values) else None
-    return BenchRow(measure=measure, value=value, n=len(values), low=low, high=high)
 
 
 def calibration(outcomes: Sequence[Outcome]) -> tuple[Bin, ...]:

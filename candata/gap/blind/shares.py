@@ -10,10 +10,11 @@ import numpy as np
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import make_bed
+from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.score import Compact
-from candata.scenes import Scene, load_scene
+from candata.scenes import Scene
 from candata.schema.bench import Label, Shares
 from candata.simulate.crew import Crew, alone
 
@@ -56,10 +57,10 @@ def _alike(changes: Sequence[Compact]) -> float | None:
     return float(max(cosines)) if cosines else None
 
 
-def share_of(folder: str, scene: str, sealed: str, label: str) -> Shares:
+def share_of(folder: str, scene: NominalScene, sealed: str, label: str) -> Shares:
     """Return the shares of a case in a folder; runs in any process."""
     path = Path(folder)
-    return true_shares(open_dataset(path), load_scene(scene), Label.model_validate_json(label), sealed)
+    return true_shares(open_dataset(path), scene.load(), Label.model_validate_json(label), sealed)
 
 
 def measure_shares(

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
-import numpy as np
+from collections.abc import Sequence
 
 from candata.gap.blind.outcomes import Outcome
+from candata.gap.blind.rows import percent
 from candata.schema.bench import BenchRow
 
 #: Targets [%], chosen: a user who has no gap is told so, and is never told a cause.
 NO_GAP_LOW, NAMED_HIGH, UNKNOWN_HIGH = 97.0, 0.0, 1.0
-
-
-def percent(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> BenchRow:
-    """Return a row that counts, in percent."""
-    counted = list(hits)
-    value = 100 * float(np.mean(counted)) if counted else None
-    return BenchRow(measure=measure, value=value, n=len(counted), low=low, high=high)
 
 
 def trait_rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:

@@ -86,7 +86,7 @@ def seal_rig_labels(
         rng = np.random.default_rng(secret_number(seed, secret, "random small scenes"))
         drawn = _draw(counts, rng, traits, only, episodes, duration_s, crew, told)
         write_once(out / LABELS, LabelsFile(salt=secret, asked=asked, labels={a.case: canonical(a) for a in drawn}))
-    return standing_labels(out, asked)
+    return standing_labels(out, asked, salt)
 
 
 def _draw(
