@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from candata.gap.added import aliases, challenged, residuals_at, together
+from candata.gap.added import aliases, here_of, residuals_at
+from candata.gap.agenda import begun, search
 from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
-from candata.gap.fewer import by_choice, completed, merged, simplified, widened
 from candata.gap.mending import Doubt, LoneForce, Mended
 from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged
@@ -16,12 +15,11 @@ from candata.gap.pace import AGAIN, REST, SHARPEN
 from candata.gap.refine import polished
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
+from candata.gap.sets import SETTLED, with_measured
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, sharpened, unheld
-from candata.gap.together import Responses
 from candata.gap.uneven import alone, recentred
-from candata.gap.worth import LEFT, MOST, leaves, left_by
+from candata.gap.worth import LEFT, MOST, left_by
 from candata.scenes.traits import is_toss
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
@@ -247,64 +245,31 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     if best is None:
         return Attribution(first, None, (), problem.score, remains)
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
-    several = together(problem, best, as_simulated(problem, first)) if is_far else None
+    several = begun(problem, best, as_simulated(problem, first)) if is_far and not problem.plays_all else None
     if several is None:
         # Of tosses it takes up to twice as long.
         longer = SHARPEN.most if is_toss(problem.replayer.scene) else 0.0
         problem.pace.say("comparing what is best so far", SHARPEN, after=further(problem, 1) + longer)
         first = problem.sofar.first = sharpened(problem, narrowed(problem, nominal, first))
-    best, rough = first.fits[0], as_simulated(problem, first)
+    best = first.fits[0]
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
-    grown, force = forward(problem, several or best, first.fits, () if is_far else rough, doubt)
+    force: list[Mended] = []
+
+    def ends(world: Problem, fit: Fit) -> bool:
+        found = doubt.of(world, here_of(world, fit)) if doubt and left_by(fit) > LEFT else None
+        force.extend([found] if found else [])
+        return bool(found)
+
+    state = search(problem, several or best, as_simulated(problem, first), ends)
+    chosen, world, remains = state.incumbent, state.world, state.remains
     if force:
-        return _ended(first, grown, force)
-    chosen, world, remains = grown
-    doubt = _doubt_beyond(doubt, world, chosen)
-    little = not remains and leaves(world, chosen)
-    if len(tied) > 1 and chosen.labels != best.labels:
-        tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
+        return _ended(first, (chosen, world, remains), force[0])
     chosen, world, remains = with_measured(world, chosen, remains)
-    if len(tied) > 1:
+    if len(tied) > 1 and chosen.labels == best.labels:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
-    if remains and not joins_first(world, chosen):
-        chosen, world, remains = jointly(world, chosen)
-    # What makes up for a choice looks like many little things, as the joint fit leaves choices out.
-    chosen, world, remains = _simpler(problem, (chosen, world, remains or little), rough)
-    grown, force = _as_one(world, chosen, remains, first.fits, doubt)
-    if force:
-        return _ended(first, grown, force)
-    chosen, world, remains = grown
-    chosen, world, remains = completed(world, chosen, remains)
-    chosen, world, remains = widened(world, chosen, remains)
-    better, others = challenged(problem, world, chosen, rough, far=not little)
-    if better.labels != chosen.labels:
-        # What the wrong member hid may be seen now.
-        grown, force = forward(world, better, first.fits, doubt=doubt)
-        if force:
-            return _ended(first, grown, force)
-        chosen, world, remains = grown
-        if chosen.labels != better.labels:
-            chosen, others = challenged(problem, world, chosen, rough)
-        # Beside a right one in a wrong one's place, another may be worth nothing more.
-        better, world, remains = simplified(world, chosen, remains)
-        others = others if better.labels == chosen.labels else []
-    tied = aliases(world, better, others) or tied
-    return Attribution(first, better, tuple(tied), world.score, remains and not little, tuple(others))
-
-
-def _simpler(problem: Problem, grown: Grown, rough: Responses) -> Grown:
-    """Return a set without members that the others make up for, or with others in their place where much is left so.
-
-    Each left out costs little, all of them more: what made up for one missing effect is not seen once it is gone.
-    (Beside a mass, softer servos and a gain of the fingertips stood for a shorter time step, and left 0.18 floors. The
-    mass alone left 0.37, which was no gap where an object slips; with the time step in the servos' place none is.)
-    """
-    whole, world, remains = grown
-    fewer = simplified(world, whole, remains)
-    if len(fewer[0].members) == len(whole.members) or left_by(fewer[0]) <= LEFT:
-        return fewer
-    better, _ = challenged(problem, world, whole, rough)
-    return fewer if better.labels == whole.labels else simplified(world, better, remains)
+    rivals = state.rivals() if chosen is state.incumbent else []
+    tied = aliases(world, chosen, rivals) or [chosen]
+    return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(rivals))
 
 
 def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
@@ -316,18 +281,3 @@ def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
 def _doubt_beyond(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
     """Return a doubt that must explain more than what was chosen, in units of the floor of its `world`, too."""
     return doubt.beyond(world, residuals_at(world, chosen.members)) if doubt and chosen else doubt
-
-
-def _as_one(
-    world: Problem, chosen: Fit, remains: bool, alone: Sequence[Fit], doubt: Doubt | None = None
-) -> tuple[Grown, Mended | None]:
-    """Return the set with one effect in place of two or more that stand for it, and with what these left no room for.
-
-    With it comes the force that ends the search, None where none does.
-
-    (Softer servos and an inertia of the joints stood for their damping, and a torsional friction was missing.)
-    """
-    fewer, other, left = by_choice(world, chosen, remains)
-    found, other, left = merged(other, fewer, left)
-    grows = left and found.labels != chosen.labels
-    return forward(other, found, alone, doubt=doubt) if grows else ((found, other, left), None)

@@ -1,8 +1,4 @@
-"""One evidence for all comparisons of sets of effects: log likelihood of held-out episodes, and a prior of the names.
-
-An episode's loss counts as a log likelihood for as many independent blocks as null replays show it to hold: where
-contact is chaos, its block means rise and fall together, and a recording of a thousand of them says as much as a few.
-"""
+"""The one rule by which a set of effects takes another's place."""
 
 from __future__ import annotations
 
@@ -12,71 +8,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate
-from candata.gap.robust import rho
-from candata.gap.score import Score
-from candata.gap.search import Members
-from candata.statistics import resamples
+from candata.gap.compare import BLUNT, error_within, standard_error
+from candata.gap.search import Fit
+from candata.gap.worth import EXTRA, FAINT, LEFT, MOST, SURER, left_by, share_of
 
 Array = NDArray[np.float64]
-#: Share of resampled sets of episodes in which a larger set must explain more to be taken: one of the two dials.
-#: Source: the usual level of a one-sided test.
-SURE = 0.95
-#: Resamples of the episodes.
-RESAMPLES = 2000
 
 
-def independent_share(score: Score) -> float:
-    """Return the share of an episode's block means that count as independent, 0 to 1, by its null replays.
+def is_better(best: Fit, fit: Fit, tasks: Sequence[str]) -> bool:
+    """Tell whether a set takes the place of another: it says more with as many names, or is worth its names.
 
-    The variance of a mean of n equal, independent values is that of one of them over n (Kish 1965, "Survey Sampling",
-    the design effect); null replays of an episode vary by more.
+    One with fewer names does unless what it lacks is worth the names.
     """
-    lost = np.where(score.mask, rho(score.null), 0.0)
-    count = np.maximum(score.mask.sum(1), 1)
-    means = lost.sum(-1, dtype=np.float64) / count
-    if len(means) < 2:
-        return 1.0
-    square = (lost**2).sum(-1, dtype=np.float64) / count - means**2
-    varies = float(means.var(axis=0, ddof=1).mean())
-    return float(np.clip((square / count).mean() / max(varies, 1e-12), 0.0, 1.0))
+    more = len(fit.members) - len(best.members)
+    if more > 0:
+        return is_worth(best, fit, tasks, more)
+    if more < 0:
+        return not is_worth(fit, best, tasks, -more)
+    gained = best.evidence.loss - fit.evidence.loss
+    return bool(gained.mean() > max(standard_error(gained), BLUNT * best.gain))
 
 
-def log_likelihood(score: Score, loss: Array) -> Array:
-    """Return `(E,)` the log likelihood of episodes by their held-out losses [floors], up to a constant."""
-    return -independent_share(score) * score.nats() * loss
+def is_worth(best: Fit, fit: Fit, tasks: Sequence[str], names: int) -> bool:
+    """Tell whether a set gains what so many more names must: each a share of the gain and of what is left.
 
-
-def log_prior(members: Members, alternatives: int) -> float:
-    """Return the log prior of a set of names, each one of so many (Scott & Berger 2010: a cost of multiplicity)."""
-    return -len(members) * float(np.log(max(alternatives, 1)))
-
-
-def odds(score: Score, losses: tuple[Array, Array], members: tuple[Members, Members], alternatives: int) -> Array:
-    """Return `(RESAMPLES,)` the log odds of a second set against a first over resampled episodes.
-
-    Parameters
-    ----------
-    score : Score
-        In whose floors the losses are.
-    losses : pair of (E,) float64
-        Held-out losses of the first set and of the second.
-    members : pair of Members
-    alternatives : int
-        Among how many effects each name was chosen.
+    What lies below the floor is luck and counts for nothing.
     """
-    gained = log_likelihood(score, losses[1]) - log_likelihood(score, losses[0])
-    prior = log_prior(members[1], alternatives) - log_prior(members[0], alternatives)
-    picks = resamples(np.random.default_rng(0), len(gained), RESAMPLES)
-    return gained[picks].sum(1) + prior
-
-
-def weights_of(score: Score, losses: Sequence[Array], sets: Sequence[Members], alternatives: int) -> Array:
-    """Return `(S,)` the share of resampled sets of episodes in which each set has the highest posterior."""
-    each = np.stack([log_likelihood(score, loss) for loss in losses])
-    prior = np.array([log_prior(members, alternatives) for members in sets])
-    picks = resamples(np.random.default_rng(0), each.shape[1], RESAMPLES)
-    winner = (each[:, picks].sum(2) + prior[:, None]).argmax(0)
-    return np.bincount(winner, minlength=len(sets)) / RESAMPLES
+    luck = max(1.0 - float(fit.evidence.loss.mean()), 0.0)
+    extra = (best.evidence.loss - fit.evidence.loss - luck) / names
+    left = left_by(best) / names
+    others = float(np.delete(extra, np.argmax(extra)).mean())
+    least = EXTRA * best.gain
+    takes = left_by(best) <= LEFT or float(extra.mean()) > share_of(left)
+    if float(extra.mean()) > max(standard_error(extra), least) and others > least / 2 and takes:
+        return True
+    ends = max(FAINT, MOST * left)
+    return float(extra.mean()) > max(ends, SURER * error_within(extra, tasks)) and others > ends / 2
 
 
 def names_key(members: Sequence[tuple[Candidate, Array]]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from candata.gap.moves import add, drop, exchange, pair, place
+from candata.gap.moves import add, drop, exchange, pair, place, split
 from candata.gap.moves.view import View
 from candata.gap.search import Members
 
@@ -16,6 +16,7 @@ Move = Callable[[View], Iterator[Members]]
 MOVES: dict[str, Move] = {
     "add": add.propose,
     "pair": pair.propose,
+    "split": split.propose,
     "exchange": exchange.propose,
     "drop": drop.propose,
     "place": place.propose,

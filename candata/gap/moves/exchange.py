@@ -9,14 +9,14 @@ from candata.gap.moves.view import View, free
 from candata.gap.search import Members
 
 #: Proposals in the place of each member.
-EACH = 4
+EACH = 3
 
 
 def propose(view: View) -> Iterator[Members]:
     """Yield the set with each member exchanged for what promises most in its place."""
     if len(view.members) < 2:
         return
-    for left in free(view):
-        kept = tuple(m for m in view.members if m is not left)
-        others = (one.members for one in view.beside(kept) if one.members[-1][0].name != left[0].name)
+    for member in free(view):
+        kept = tuple(m for m in view.members if m is not member)
+        others = (more.members for more in view.beside(kept) if more.members[-1][0].name != member[0].name)
         yield from islice(others, EACH)

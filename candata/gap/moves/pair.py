@@ -1,4 +1,7 @@
-"""Pair: two effects to whose signatures the recording adds up; growth takes first what makes up best for both."""
+"""Pair: two or three effects to whose signatures the recording adds up.
+
+Growth takes first what makes up best for all causes at once; this begins with all of them.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,16 @@ from collections.abc import Iterator
 
 from candata.gap.moves.view import View
 from candata.gap.search import Members
+from candata.gap.shortlist import brief
 from candata.gap.together import sums
 
-#: Pairs, and triples, those that leave least first.
-EACH = 6
+#: Sets of each size, those that leave least first.
+EACH = 4
 
 
 def propose(view: View) -> Iterator[Members]:
     """Yield pairs and triples of effects, where the set holds one effect so far."""
-    if len(view.members) == 1:
-        for some in sums(view.part, view.alone):
-            for one in some[:EACH]:
-                yield one.members
+    if len(view.members) == 1 and view.remains:
+        for size in sums(brief(view.root)[0], view.alone):
+            for added in size[:EACH]:
+                yield added.members

@@ -17,9 +17,9 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.stage import unheld
 from candata.gap.together import Responses, Sum, beside
+from candata.gap.worth import is_full
 
 Index = NDArray[np.int64]
-MOST = 3
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,10 @@ class View:
 
     Attributes
     ----------
+    root : Problem
+        All episodes in units of the nominal world's floor.
     problem : Problem
-        All episodes.
+        All episodes in the units of the fit.
     part : Problem
         A few of them.
     index : (e,) int64
@@ -37,14 +39,18 @@ class View:
     fit : Fit
         The set.
     alone : Responses
-        Every effect alone on the few episodes.
+        Every effect alone on the few episodes, in the units of `root`.
+    remains : bool
+        Whether the incumbent leaves more than nulls do.
     """
 
+    root: Problem
     problem: Problem
     part: Problem
     index: Index
     fit: Fit
     alone: Responses
+    remains: bool
 
     @property
     def members(self) -> Members:
@@ -52,10 +58,9 @@ class View:
         return self.fit.members
 
     @property
-    def is_full(self) -> bool:
-        """Whether the set holds as many effects as are searched for."""
-        known = {c.name for c, _ in self.problem.measured}
-        return sum(c.name not in known for c, _ in self.members) >= MOST
+    def has_room(self) -> bool:
+        """Whether another effect may come to the set."""
+        return self.remains and not is_full(self.members, self.problem.measured)
 
     @cached_property
     def here(self) -> Compact:
@@ -87,7 +92,11 @@ class View:
     def _responses(self, here: Compact, held: Members) -> Responses:
         """Return the responses of all effects, and of promising variants on one element, on top of some members."""
         acting = {c.label for c, _ in held}
-        found, _ = respond(self.part, here, unheld(self.part, held), held)
+        whole = len(held) == len(self.members)
+        some = [c for c in unheld(self.part, held) if whole or not c.choices]
+        found, _ = respond(self.part, here, some, held)
+        if not whole:
+            return found
         base = self.part.score.loss(here)
         variants = [v for v in promising(self.part, here, found, base) if v.label not in acting]
         return [*found, *respond(self.part, here, variants, held)[0]]
