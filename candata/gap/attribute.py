@@ -4,29 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from candata.gap.added import aliases, here_of, residuals_at
-from candata.gap.agenda import begun, search
+from candata.gap.agenda import aliases, begun, search
 from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
 from candata.gap.mending import Doubt, LoneForce, Mended
 from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged
 from candata.gap.pace import AGAIN, REST, SHARPEN
-from candata.gap.refine import polished
+from candata.gap.refine import joint, polished
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.sets import SETTLED, with_measured
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, sharpened, unheld
 from candata.gap.uneven import alone, recentred
 from candata.gap.worth import LEFT, MOST, left_by
 from candata.scenes.traits import is_toss
 
-#: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
-#: with its rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.
+#: Share of the gap that the best effect alone must leave for sets to be tried before it is compared sharply with its
+#: rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.
 FAR = 0.25
-#: To what share of what the first search leaves a second one must come down to replace it. Chosen.
-SMALLER = 0.8
+#: Floors that must be left for every effect to be simulated on the recording, and the share of what the first search
+#: leaves to which the second one must come down to replace it. Chosen.
+SETTLED, SMALLER = 0.5, 0.8
 #: Loss above the floor below which what is faint is looked for in the mean over many replays, and gain [floors] below
 #: which it is asked there on which element an effect acts, as it is where one replay does not tell. Chosen.
 HIDDEN, UNPLACED = 0.1, 0.3
@@ -72,16 +71,12 @@ class Attribution:
 
 
 def attribute(problem: Problem) -> Attribution:
-    """Return the effects that explain the gap, by forward selection on held-out episodes.
+    """Return the effects that explain the gap, chosen on held-out episodes.
 
-    What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
-    even then, and that is much or nothing is named, effects are looked at again, simulated on the recording: in a world
-    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there. Before that
-    the episodes are counted that one value explains, and where contact is chaos one of a set may stand for it. What was
-    named and explains less than half may hide the true cause: without it all is simulated too. (Of fingertips that
-    bounced, damping 0.3 times as strong, a friction of one was named for a seventh of the gap; alone, 0.32 left 1.1
-    floors, where nulls reach 1.5, and beside that friction nothing showed.) Where one force explains clearly more than
-    what is found, no more is looked for. In the end the mean over many replays shows what contact hides from one.
+    Where a search by signatures leaves most of the gap, or names nothing, the episodes are counted that one value
+    explains, and then every effect is simulated on the recording: in a world far from the nominal one, or where contact
+    is chaos, signatures say little of what an effect does there. Where one force explains clearly more than what is
+    found, no more is looked for. In the end the mean over many replays shows what contact hides from one.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(LoneForce(problem))
@@ -138,10 +133,7 @@ def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
 
 
 def _located(problem: Problem, first: Stage, chosen: Fit) -> Attribution | None:
-    """Return an effect alone where it acts by the mean, or none where it is luck; None where it stays as it is.
-
-    (Of one null, a support that is a little softer gained 0.04 floors in one replay, and in the mean of many nothing.)
-    """
+    """Return an effect alone where it acts by the mean, or none where it is luck; None where it stays as it is."""
     shown = placed(problem, chosen)
     if shown is None:
         return None
@@ -235,8 +227,8 @@ def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
 
 def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone, or where a doubt ends it."""
-    nominal, problem.sofar.first = problem.nominal, first
-    remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score))
+    problem.sofar.first = first
+    remains = bool(problem.score.loss(problem.nominal).mean() > null_level(problem.score))
     if remains and first.faint and first.passing() is None and not problem.simulated:
         # Before the cause is called unknown, all that could explain it is looked at on every episode.
         problem.pace.told("looking at more effects on every episode")
@@ -244,32 +236,40 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     first, best = _counting(problem, first, remains)
     if best is None:
         return Attribution(first, None, (), problem.score, remains)
-    is_far = left_by(best) > FAR * float((first.base - 1).mean())
-    several = begun(problem, best, as_simulated(problem, first)) if is_far and not problem.plays_all else None
+    is_far = left_by(best) > FAR * float((first.base - 1).mean()) and not problem.plays_all
+    several = begun(problem, best, as_simulated(problem, first)) if is_far else None
     if several is None:
         # Of tosses it takes up to twice as long.
         longer = SHARPEN.most if is_toss(problem.replayer.scene) else 0.0
         problem.pace.say("comparing what is best so far", SHARPEN, after=further(problem, 1) + longer)
-        first = problem.sofar.first = sharpened(problem, narrowed(problem, nominal, first))
+        first = problem.sofar.first = sharpened(problem, narrowed(problem, problem.nominal, first))
     best = first.fits[0]
-    tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
     force: list[Mended] = []
 
     def ends(world: Problem, fit: Fit) -> bool:
-        found = doubt.of(world, here_of(world, fit)) if doubt and left_by(fit) > LEFT else None
+        found = doubt.of(world, world.where(fit)) if doubt and left_by(fit) > LEFT else None
         force.extend([found] if found else [])
-        return bool(found)
+        return found is not None
 
     state = search(problem, several or best, as_simulated(problem, first), ends)
-    chosen, world, remains = state.incumbent, state.world, state.remains
+    grown = state.incumbent, state.world, state.remains
     if force:
-        return _ended(first, (chosen, world, remains), force[0])
-    chosen, world, remains = with_measured(world, chosen, remains)
-    if len(tied) > 1 and chosen.labels == best.labels:
-        return Attribution(first, chosen, tuple(tied), world.score, remains)
+        return _ended(first, grown, force[0])
+    chosen, world, remains = _with_measured(*grown)
+    if several is None and chosen.labels == best.labels:
+        tied = tied_with(best, first.fits, first.reachable)
+        return Attribution(first, chosen, (chosen, *tied[1:]), world.score, remains)
     rivals = state.rivals() if chosen is state.incumbent else []
     tied = aliases(world, chosen, rivals) or [chosen]
     return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(rivals))
+
+
+def _with_measured(best: Fit, problem: Problem, remains: bool) -> tuple[Fit, Problem, bool]:
+    """Return the set joined by what was measured directly: it needs no gain to be believed."""
+    new = tuple((c, u) for c, u in problem.measured if c.name not in {m.name for m, _ in best.members})
+    if not new:
+        return best, problem, remains
+    return judged(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
 
 
 def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
@@ -280,4 +280,4 @@ def _ended(first: Stage, grown: Grown, force: Mended) -> Attribution:
 
 def _doubt_beyond(doubt: Doubt | None, world: Problem, chosen: Fit | None) -> Doubt | None:
     """Return a doubt that must explain more than what was chosen, in units of the floor of its `world`, too."""
-    return doubt.beyond(world, residuals_at(world, chosen.members)) if doubt and chosen else doubt
+    return doubt.beyond(world, world.at(chosen.members)) if doubt and chosen else doubt

@@ -247,3 +247,11 @@ def _first(count: int, nearest: bool) -> tuple[int, ...]:
     if count <= 3:
         return tuple(range(count))
     return ((0,) if nearest else ()) + ((count - 1) // 2, count - 1)
+
+
+def everywhere(c: Candidate, u: Array, scene: Scene) -> tuple[Candidate, Array]:
+    """Return the effect of which `c` is the variant on one element, as strong there; other numbers are neutral."""
+    whole = candidate(c.name, scene)
+    at = whole.neutral.copy()
+    at[c.own[whole.own]] = u
+    return whole, at

@@ -41,7 +41,6 @@ from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out
 from candata.gap.signatures import library, sharing_note
-from candata.gap.sized import with_sizes
 from candata.gap.starts import start_notes, starts
 from candata.gap.streams import Streams
 from candata.gap.unfinished import unfinished
@@ -190,7 +189,7 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> D
     if problem is None:
         return too_little(dataset, scene, everything)
     say_outlook(problem)
-    found = with_names_tested(problem, with_sizes(problem, attribute(problem)))
+    found = with_names_tested(problem, attribute(problem))
     # What no effect explains is described as a force in the end.
     described = found.remains and not is_toss(scene)
     problem.pace.say("measuring on held-out episodes", REST, after=FORCE.most + REST.most if described else 0.0)

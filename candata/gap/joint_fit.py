@@ -25,9 +25,8 @@ from candata.gap.quantities import Allowance, AllowanceSpent, Quantities, mean_s
 from candata.gap.response import Plane
 from candata.gap.robust import rho, weights
 from candata.gap.score import Compact
-from candata.gap.search import Fit, Members, Problem
+from candata.gap.search import Fit, Members, Problem, present
 from candata.gap.shortlist import few, taken
-from candata.gap.sparse import present
 
 Array = NDArray[np.float64]
 #: Most numbers that are fitted at once, and replays that each needs: one for every slope, in some ten steps. Chosen.

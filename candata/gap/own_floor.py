@@ -8,10 +8,8 @@ import numpy as np
 
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
-from candata.gap.refine import SHARP, joint, scanned
 from candata.gap.score import score
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.shortlist import brief
 from candata.gap.worth import leaves
 
 #: Null replays of each episode around an accepted set.
@@ -51,21 +49,3 @@ def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Pr
     return replace(
         problem, score=score(problem.raw, spread, problem.plan, problem.score.loss_error, problem.streams.seed)
     )
-
-
-def refitted(problem: Problem, first: Fit, world: Problem, best: Fit) -> Fit | None:
-    """Return a set refitted in units of the floor of its own world; None where that gains nothing.
-
-    Only one that seemed to leave nothing in units of the `problem` before, so that no slopes were simulated. (An
-    object's mass centre and softer contact left -0.07 floors in those of the nominal world and 0.07 in their own; a
-    look at all other effects took 44 CPU s, and then the two, refitted, left nothing.) A scalar alone is tried between
-    the points at which it is known.
-    """
-    if len(best.members) < 2:
-        found = scanned(world, brief(world)[0], best, world.score.loss(world.nominal))
-        return found if found is not best else None
-    left = float(problem.score.loss(first.plane.z).mean()) - 1
-    if left >= SHARP * (float(problem.score.loss(problem.nominal).mean()) - 1 - left):
-        return None
-    found = joint(world, best.members, world.score.loss(world.nominal))
-    return found if found.gain > best.gain else None

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate, typical_size
 from candata.gap.refine import divided
 from candata.gap.score import Compact
-from candata.gap.search import Members, Problem
-from candata.gap.sparse import present
+from candata.gap.search import Members, Problem, present
 from candata.statistics import MAD_TO_SD
 
 Array = NDArray[np.float64]

@@ -57,8 +57,6 @@ AGAIN, WORTH_IT, IDLE = 4, 0.005, 2
 #: How many times farther than along the strongest direction slopes are simulated along weak ones, at most. Chosen: the
 #: 20 true sets left 0.9 floors too much in all, 0.9 with 2.5 and 1.3 with 8.
 FARTHER = 4.0
-#: Times that a scalar is tried between the points next to the best so far. Chosen.
-SCANS = 3
 #: Half width of the bracket around the best scalar, as a share of its distance from the neutral value. Chosen.
 BRACKET = 0.1
 
@@ -318,27 +316,3 @@ def _at(problem: Problem, fit: Fit, points: Sequence[Array], base: Array) -> Fit
     """Return a scalar's fit with coordinates simulated on the recording that were not yet."""
     new = [p for p in points if not fit.curve.was_simulated(p)]
     return _with_points(problem, [fit], [new], base, ())[0] if new else fit
-
-
-def scanned(problem: Problem, part: Problem, best: Fit, base: Array) -> Fit:
-    """Return a scalar's fit where it leaves least of the few episodes of `part`, if it gains more there on all.
-
-    Tried are places between all points of its curve, and then next to the best: lines between far probes lead past a
-    narrow valley. (A finger's motors limited to 0.18 N m left none of 0.28 floors, 0.2 half of them. From probes on
-    either side, 0.26 had been read off, which left three quarters.)
-    """
-    ((c, u),) = best.members
-    if c.choices or not isinstance(best.response, Curve):
-        return best
-    ends, at = best.curve.at, u
-    tried = {float(u[0]): float(part.score.loss(part.residuals([part.setting([(c, u)])])[0]).mean())}
-    for _ in range(SCANS):
-        steps = np.diff(ends)[:, None] * (1 / 3, 2 / 3)
-        new = [np.array([v]) for v in np.setdiff1d((ends[:-1, None] + steps).ravel(), [*tried])]
-        zs = part.residuals([part.setting([(c, v)]) for v in new])
-        tried |= {float(v[0]): float(part.score.loss(z).mean()) for v, z in zip(new, zs, strict=True)}
-        known = np.unique([*best.curve.at, *tried])
-        at = np.array([min(tried, key=lambda v: tried[v])])
-        ends = known[np.abs(np.arange(len(known)) - np.searchsorted(known, at[0])) <= 1]
-    found = polished(problem, _at(problem, best, [at], base), base)
-    return found if found.gain > best.gain else best

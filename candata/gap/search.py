@@ -142,6 +142,17 @@ class Problem:
         each = [[self.score.loss(self.score.normal(z)) for z in np.split(many, len(begins))] for many in found]
         return np.array(each).swapaxes(0, 1)
 
+    def at(self, members: Members) -> Compact:
+        """Return normalised residuals `(E, K)` where some effects act."""
+        return self.residuals([self.setting(members)])[0]
+
+    def where(self, fit: Fit) -> Compact:
+        """Return residuals `(E, K)` where a fit is: a plane was simulated there, a curve perhaps beside it."""
+        if isinstance(fit.response, Plane):
+            return fit.response.z
+        ((_, u),) = fit.members
+        return fit.response.read(u) if fit.response.was_simulated(u) else self.at(fit.members)
+
     def without_each(self, members: Members, some: Members | None = None) -> list[Compact]:
         """Return normalised residuals `(E, K)` of a set without each of its members, or of some; the others stay."""
         left_out = members if some is None else some
@@ -212,10 +223,10 @@ class Fit:
             raise TypeError(f"{self.labels} has no plane")
         return self.response
 
-    def plane_without(self, left: Sequence[tuple[Candidate, Array]]) -> Plane:
-        """Return the plane of the other members where some are at their neutral values, as slopes promise it."""
-        own = np.concatenate([np.full(c.size, any(c is one for one, _ in left)) for c, _ in self.members])
-        return self.plane.held(own, np.concatenate([c.neutral for c, _ in self.members]))
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What makes two sets the same: labels, and the value of each choice."""
+        return key_of(self.members)
 
     def led_by(self, label: str) -> Fit:
         """Return the same set with one member before the others."""
@@ -236,6 +247,16 @@ class Fit:
             out.append((c, u[start : start + c.size]))
             start += c.size
         return tuple(out)
+
+
+def present(members: Members) -> Members:
+    """Return the members that are not at their neutral values."""
+    return tuple((c, u) for c, u in members if not c.is_neutral(u))
+
+
+def key_of(members: Members) -> tuple[str, ...]:
+    """Return what makes two sets of effects the same: labels, and the value of each choice."""
+    return tuple(sorted(f"{c.label}={u.tolist()}" if c.choices else c.label for c, u in members))
 
 
 def fit_one(problem: Problem, c: Candidate, response: Curve | Plane, base: Array) -> Fit:

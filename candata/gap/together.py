@@ -69,24 +69,6 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
     return sizes
 
 
-def exchanged(problem: Problem, responses: Responses, members: Members) -> list[list[Sum]]:
-    """Return, for each member, the sets with it exchanged, those whose signatures leave least first.
-
-    There are none where a member of the set is not among the responses, which are those of the episodes of `problem`.
-    """
-    index = {c.label: i for i, (c, _) in enumerate(responses)}
-    if not all(c.label in index for c, _ in members):
-        return []
-    own = tuple(index[c.label] for c, _ in members)
-    found = []
-    for left in own:
-        kept = tuple(i for i in own if i != left)
-        new = [i for i in _others(responses, kept) if responses[i][0].name != responses[left][0].name]
-        each = [_added(problem, [responses[i] for i in (*kept, other)], problem.nominal) for other in new]
-        found.append(sorted(each, key=lambda one: one.loss))
-    return found
-
-
 def beside(problem: Problem, here: Compact, held: Responses, responses: Responses) -> list[Sum]:
     """Return what is held with each other effect, its own numbers moved along; those that leave least first.
 

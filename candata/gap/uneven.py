@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, probes
+from candata.gap.candidates import Candidate, everywhere, probes
 from candata.gap.compare import null_level, standard_error
-from candata.gap.elsewhere import everywhere
 from candata.gap.folds import CrossFit, rest
 from candata.gap.own_floor import in_world
 from candata.gap.pace import COUNT
@@ -207,7 +206,7 @@ def _with_all(problem: Problem, found: Sequence[Member]) -> list[Member]:
     By the mean loss one element may gain where all of them gain nothing. (Of a friction of everything times 0.55, that
     of the fingertips gained 0.6 floors alone, and left 2.4 in its own world, where nulls reach 1.5.)
     """
-    wide = [everywhere(problem, c, u) for c, u in found if c.element is not None]
+    wide = [everywhere(c, u, problem.replayer.scene) for c, u in found if c.element is not None]
     return list({c.label: (c, u) for c, u in (*wide, *found) if c.size == 1}.values())
 
 

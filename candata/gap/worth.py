@@ -1,4 +1,4 @@
-"""What an effect must explain to be worth a name, and what a set leaves unexplained."""
+"""The one rule by which a set of effects takes another's place, and what a set leaves unexplained."""
 
 from __future__ import annotations
 
@@ -7,34 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.compare import error_within, null_level, standard_error
+from candata.gap.compare import BLUNT, error_within, null_level, standard_error
 from candata.gap.search import Fit, Members, Problem
 
 Array = NDArray[np.float64]
-#: Most effects of a set that are searched for, beside those that were measured without a fit.
+#: Most effects of a set that are searched for, beside those that were measured without a fit. Chosen.
 LARGEST = 3
-#: Share of the gain so far below which another effect is not worth naming, significant or not.
+#: Share of the gain so far that each further name must add. Chosen.
 EXTRA = 0.05
-#: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard
-#: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
-#: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
-FAINT, SURER = 0.05, 3.0
-#: Floors that must be left for pairs, and for a fault to be tried on other elements, one effect in place of two, or all
-#: together: contact alone leaves a tenth or two behind a right cause. (A softer servo and a gain of the fingertips, for
-#: steps half as long beside a mass, left 0.18; one joint's torque limit, for that of its finger, 0.19. Of a gap of
-#: one floor three of seven little things left 0.19, too much for a verdict; all together left 0.08.)
-LEFT, OPEN = 0.2, 0.1
-#: Share of what is left, where that is more than `LEFT`, that the next effect must take, sharply fitted. Chosen: of two
-#: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet,
-#: contact damping took a fifth, then a mass centre a twentieth.
-TAKEN = 0.25
-#: Floors of what is left that count for that, at most: 0.15 floors are worth a name however much no effect explains.
-#: (Of real cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together. In 131 blind
-#: cases one step of one search depended on its being 0.15, not 0.2, and no name did.)
-MUCH = 0.6
-#: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
-#: a set to whose signatures the recording adds up.
-MOST = 0.5
+#: Floors from which what is left is worth a search for pairs or a force: contact alone leaves a tenth or two behind a
+#: right cause. Chosen.
+LEFT = 0.2
+#: Share of what is left, where that is more than `LEFT`, that each further name must take; and floors of what is left
+#: that count for that, at most, so that 0.15 floors are worth a name however much no effect explains. Chosen.
+TAKEN, MUCH = 0.25, 0.6
+#: A name that adds less is worth it if it ends the search: it takes this share of what is left, at least so many
+#: floors, and so many standard errors. Chosen.
+MOST, FAINT, SURER = 0.5, 0.05, 3.0
 
 
 def left_by(best: Fit) -> float:
@@ -42,54 +31,47 @@ def left_by(best: Fit) -> float:
     return float(best.evidence.loss.mean()) - 1
 
 
-def has_room(best: Fit) -> bool:
-    """Tell whether so much is left that another effect could be worth a name."""
-    return left_by(best) > EXTRA * best.gain
-
-
 def leaves(problem: Problem, fit: Fit) -> bool:
     """Tell whether the held-out loss of a fit lies above the nulls of its world."""
     return bool(fit.evidence.loss.mean() > null_level(problem.score))
 
 
-def worth_adding(extra: Array, so_far: float) -> bool:
-    """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
-    least = max(standard_error(extra), EXTRA * so_far)
-    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
+def is_better(best: Fit, fit: Fit, tasks: Sequence[str]) -> bool:
+    """Tell whether a set takes another's place, both in units of the same floor.
 
+    One with more names does if it is worth them, one with fewer if the names that it lacks are not worth it. One with
+    as many does if it explains more by more than a standard error of the difference and than fits are sharp.
 
-def extra_of(best: Fit, grown: Fit) -> Array:
-    """Return what another set gains on each episode `(E,)` beyond the best so far, in floors."""
-    return best.evidence.loss - grown.evidence.loss
-
-
-def takes(best: Fit, grown: Fit) -> bool:
-    """Tell whether more effects take their share of what is left, where that is much."""
-    left = left_by(best)
-    return left <= LEFT or float(extra_of(best, grown).mean()) > share_of(left)
-
-
-def share_of(left: float) -> float:
-    """Return how much more effects must take of what is left, in floors, where that is much."""
-    return TAKEN * min(max(left, 0.0), MUCH)
-
-
-def is_next(best: Fit, grown: Fit, tasks: Sequence[str]) -> bool:
-    """Tell whether one more effect is worth a name: it gains enough and takes enough, or it ends the search."""
-    enough = worth_adding(extra_of(best, grown), best.gain) and takes(best, grown)
-    return enough or settles(best, grown, tasks)
-
-
-def settles(best: Fit, grown: Fit, tasks: Sequence[str]) -> bool:
-    """Tell whether one more effect, small beside the others, surely takes most of what they leave.
-
-    It may show in one of the tasks alone, surely there. (A time step of 0.5 ms was worth 1.3 floors in each episode of
-    one task of five, and in none of another.)
+    Parameters
+    ----------
+    best, fit : Fit
+        The set that stands, and the one that challenges it.
+    tasks : sequence of str
+        Task of each episode.
     """
-    extra = extra_of(best, grown)
-    least = max(FAINT, MOST * left_by(best))
-    sure = float(extra.mean()) > max(least, SURER * error_within(extra, tasks))
-    return sure and bool(np.delete(extra, np.argmax(extra)).mean() > least / 2)
+    more = len(fit.members) - len(best.members)
+    if more > 0:
+        return _is_worth(best, fit, tasks, more)
+    if more < 0:
+        return not _is_worth(fit, best, tasks, -more)
+    gained = best.evidence.loss - fit.evidence.loss
+    return bool(gained.mean() > max(standard_error(gained), BLUNT * best.gain))
+
+
+def _is_worth(best: Fit, fit: Fit, tasks: Sequence[str], names: int) -> bool:
+    """Tell whether a set gains what so many more names must, and not by one episode.
+
+    A loss below the floor is luck and counts for nothing.
+    """
+    luck = max(1.0 - float(fit.evidence.loss.mean()), 0.0)
+    extra = (best.evidence.loss - fit.evidence.loss - luck) / names
+    mean, others = float(extra.mean()), float(np.delete(extra, np.argmax(extra)).mean())
+    left = left_by(best)
+    share = TAKEN * min(max(left / names, 0.0), MUCH) if left > LEFT else 0.0
+    if mean > max(standard_error(extra), EXTRA * best.gain, share) and others > EXTRA * best.gain / 2:
+        return True
+    ends = max(FAINT, MOST * left / names)
+    return mean > max(ends, SURER * error_within(extra, tasks)) and others > ends / 2
 
 
 def is_full(members: Members, measured: Members) -> bool:

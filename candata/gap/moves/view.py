@@ -8,15 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import here_of, pieces_of
 from candata.gap.candidates import Candidate
 from candata.gap.local import promising
 from candata.gap.response import Plane
 from candata.gap.score import Compact
-from candata.gap.screen import respond
+from candata.gap.screen import respond, slope_of
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.stage import unheld
-from candata.gap.together import Responses, Sum, beside
+from candata.gap.together import WITHIN, Responses, Sum, beside
 from candata.gap.worth import is_full
 
 Index = NDArray[np.int64]
@@ -65,12 +64,19 @@ class View:
     @cached_property
     def here(self) -> Compact:
         """Residuals `(e, K)` of the few episodes with the set."""
-        return here_of(self.problem, self.fit)[self.index]
+        return self.problem.where(self.fit)[self.index]
 
     @cached_property
     def pieces(self) -> Responses:
         """How the residuals change with each member around where it is."""
-        return pieces_of(self.fit, self.here, self.index)
+        if isinstance(self.fit.response, Plane):
+            slope = self.fit.response.slope
+        else:
+            ((c, u),) = self.fit.members
+            slope = slope_of(c, self.fit.response, u, WITHIN)
+        ends = np.cumsum([c.size for c, _ in self.members])[:-1]
+        parts = np.split(slope[:, self.index], ends)
+        return [(c, Plane(c.low, c.high, u, self.here, each)) for (c, u), each in zip(self.members, parts, strict=True)]
 
     @cached_property
     def now(self) -> float:
@@ -87,7 +93,7 @@ class View:
 
     def _without(self, held: Members) -> Compact:
         """Return residuals `(e, K)` with some members alone."""
-        return self.part.residuals([self.part.setting(held)])[0]
+        return self.part.at(held)
 
     def _responses(self, here: Compact, held: Members) -> Responses:
         """Return the responses of all effects, and of promising variants on one element, on top of some members."""
