@@ -36,6 +36,9 @@ SHOWN, MOVED = 6, 2
 #: Share of the loss that the incumbent explains which a set may leave beyond the incumbent's and go on, from the rungs
 #: `shown` and `moved`: what fits of these rungs are off by. Chosen.
 OFF_SHOWN, OFF_MOVED = 0.3, 0.1
+#: Share of what the incumbent leaves which larger sets must take where they are shown for a force not to be asked first.
+#: Chosen for cost: a force takes some tens of replays, which fitting such sets may take too.
+PROMISING = 0.25
 #: Larger sets from which the search proposes where nothing takes the incumbent's place. Chosen for cost.
 AHEAD = 2
 #: Most rounds: a guard, since each takes another set or is one of the last two.
@@ -97,21 +100,27 @@ def search(problem: Problem, first: Fit, alone: Responses, ends: Callable[[Probl
     """
     world, best = rescored(problem, first)
     state = Search(problem, world, best, {first.key: first})
-    front = [best]
+    front, is_asked = [best], False
     for _ in range(ROUNDS):
         world.sofar.best = state.incumbent
-        state, fitted = _round(state, front, alone, tuple(MOVES.values()))
+        state, shown = _shown(state, front, alone, tuple(MOVES.values()))
+        if state.remains and not is_asked and not shown.promises():
+            is_asked = True
+            if ends(state.world, state.incumbent):
+                break
+        state, fitted = _fitted(state, shown)
         challenger = _challenger(state, fitted)
         if challenger is not None:
             state = _crowned(state, challenger)
-            front = [state.incumbent]
+            front, is_asked = [state.incumbent], False
             problem.pace.told(f"{', '.join(state.incumbent.labels)} found, looking for what is beside")
             continue
-        size = len(state.incumbent.members)
-        larger = [f for f in fitted if len(f.members) > size and not is_full(f.members, problem.measured)]
-        if not state.remains or front[0] is not state.incumbent or ends(state.world, state.incumbent) or not larger:
+        larger = [f for f in fitted if len(f.members) > shown.size and not is_full(f.members, problem.measured)]
+        if not state.remains or front[0] is not state.incumbent:
             break
-        front = larger[:AHEAD]
+        if (not is_asked and ends(state.world, state.incumbent)) or not larger:
+            break
+        front, is_asked = larger[:AHEAD], True
     return state
 
 
@@ -121,7 +130,8 @@ def begun(problem: Problem, first: Fit, alone: Responses) -> Fit | None:
     That is left by `first`, the best effect alone; None if no set does.
     """
     state = Search(problem, problem, first)
-    _, fitted = _round(state, [first], alone, (MOVES["pair"],))
+    state, shown = _shown(state, [first], alone, (MOVES["pair"],))
+    _, fitted = _fitted(state, shown)
     return _challenger(state, [f for f in fitted if left_by(f) < MOST * left_by(first)])
 
 
@@ -171,37 +181,62 @@ def _challenger(state: Search, fitted: Sequence[Fit]) -> Fit | None:
     return None if best is state.incumbent else best
 
 
-def _round(state: Search, front: Sequence[Fit], alone: Responses, moves: Sequence[Move]) -> tuple[Search, list[Fit]]:
-    """Return the search and the sets that moves lead to from some sets, sharply fitted, those that leave least first.
+@dataclass(frozen=True)
+class Shown:
+    """What moves proposed, simulated on a few episodes.
 
-    They are in units of the incumbent's world.
+    Attributes
+    ----------
+    part : Problem
+        The few episodes.
+    ranked : list of (loss, Members)
+        The least loss first, each set of names once.
+    size : int
+        How many effects the incumbent holds.
+    now, explained : float
+        Mean loss [floors] that the incumbent leaves of these episodes, and what it explains of them.
     """
-    world, size = state.world, len(state.incumbent.members)
+
+    part: Problem
+    ranked: list[Ranked]
+    size: int
+    now: float
+    explained: float
+
+    def promises(self) -> bool:
+        """Tell whether a larger set takes a part of what the incumbent leaves."""
+        larger = [loss for loss, members in self.ranked if len(members) > self.size]
+        return self.now - min(larger, default=self.now) > PROMISING * (self.now - 1)
+
+
+def _shown(state: Search, front: Sequence[Fit], alone: Responses, moves: Sequence[Move]) -> tuple[Search, Shown]:
+    """Return the search and what moves propose from some sets and was not shown before."""
+    world = state.world
     part, index = brief(world)
     views = [View(state.root, world, part, index, fit, alone, state.remains) for fit in front]
     known = {*state.seen, *state.visited}
     proposed = [m for view in views for move in moves for m in move(view) if key_of(m) not in known]
-    if not proposed:
-        return state, []
+    zs = part.residuals([part.setting(members) for members in proposed]) if proposed else []
+    losses = [float(part.score.loss(z).mean()) for z in zs]
+    order = sorted(zip(losses, proposed, strict=True), key=lambda pair: -pair[0])
+    ranked = list({key_of(members): (loss, members) for loss, members in order}.values())[::-1]
     now = float(part.score.loss(world.where(state.incumbent)[index]).mean())
     explained = max(float(part.score.loss(part.nominal).mean()) - now, 0.0)
-    shown = _kept(_shown(part, proposed), size, SHOWN, now + OFF_SHOWN * explained)
-    moved = sorted((_moved(part, members) for _, members in shown), key=lambda pair: pair[0])
-    moved = _kept(moved, size, MOVED, now + OFF_MOVED * explained)
+    seen = state.seen | {key_of(m) for m in proposed}
+    return replace(state, seen=seen), Shown(part, ranked, len(state.incumbent.members), now, explained)
+
+
+def _fitted(state: Search, shown: Shown) -> tuple[Search, list[Fit]]:
+    """Return the search and the sets that were fitted sharply, in units of its world, those that leave least first."""
+    world, part = state.world, shown.part
+    near = _kept(shown.ranked, shown.size, SHOWN, shown.now + OFF_SHOWN * shown.explained)
+    moved = sorted((_moved(part, members) for _, members in near), key=lambda pair: pair[0])
+    moved = _kept(moved, shown.size, MOVED, shown.now + OFF_MOVED * shown.explained)
     base = world.score.loss(world.nominal)
     sharp = [joint(world, members, base, WIDTHS[1:]) for _, members in moved]
     new = {f.key: in_units(f, world, state.root) for f in sharp}
-    seen = state.seen | {key_of(m) for m in proposed}
-    state = replace(state, seen=seen, visited={**state.visited, **new})
+    state = replace(state, visited={**state.visited, **new})
     return state, sorted(sharp, key=lambda f: float(f.evidence.loss.mean()))
-
-
-def _shown(problem: Problem, sets: Sequence[Members]) -> list[Ranked]:
-    """Return sets with the loss that they leave where they are simulated, the least first, each set of names once."""
-    zs = problem.residuals([problem.setting(members) for members in sets])
-    losses = [float(problem.score.loss(z).mean()) for z in zs]
-    order = sorted(zip(losses, sets, strict=True), key=lambda pair: -pair[0])
-    return list({key_of(members): (loss, members) for loss, members in order}.values())[::-1]
 
 
 def _moved(problem: Problem, members: Members) -> Ranked:
