@@ -36,7 +36,8 @@ SHOWN, MOVED = 6, 2
 #: Share of the loss that the incumbent explains which a set may leave beyond the incumbent's and go on, from the rungs
 #: `shown` and `moved`: what fits of these rungs are off by. Chosen.
 OFF_SHOWN, OFF_MOVED = 0.3, 0.1
-#: Share of what the incumbent leaves which larger sets must take where they are shown for a force not to be asked first.
+#: Share of what the incumbent leaves which larger sets must take where they are shown, else a force is asked
+#: first.
 #: Chosen for cost: a force takes some tens of replays, which fitting such sets may take too.
 PROMISING = 0.25
 #: Larger sets from which the search proposes where nothing takes the incumbent's place. Chosen for cost.
@@ -219,7 +220,8 @@ def _shown(state: Search, front: Sequence[Fit], alone: Responses, moves: Sequenc
     zs = part.residuals([part.setting(members) for members in proposed]) if proposed else []
     losses = [float(part.score.loss(z).mean()) for z in zs]
     order = sorted(zip(losses, proposed, strict=True), key=lambda pair: -pair[0])
-    ranked = list({key_of(members): (loss, members) for loss, members in order}.values())[::-1]
+    best = {key_of(members): (loss, members) for loss, members in order}
+    ranked = sorted(best.values(), key=lambda pair: pair[0])
     now = float(part.score.loss(world.where(state.incumbent)[index]).mean())
     explained = max(float(part.score.loss(part.nominal).mean()) - now, 0.0)
     seen = state.seen | {key_of(m) for m in proposed}
