@@ -46,8 +46,8 @@ This page is written by `python tools/measured.py` from `benchmarks/results`. To
 
 <!-- not run: it takes hours -->
 ```bash
-make bench                                                # the benchmarks, in some hours
-candata gap bench --seed 8 --out out/bench                # the self-check alone, 75 to 90 minutes
+make bench                                    # the benchmarks: some hours
+candata gap bench --seed 8 --out out/bench    # the self-check alone: 75 to 90 minutes
 ```
 
 - A **floor** is what the simulator shows against a recording of itself with the same sensor noise. An effect worth 0.05

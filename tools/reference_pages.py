@@ -28,8 +28,10 @@ from candata_cli.main import build
 
 #: Scene in which the ranges of effects are shown.
 SCENE = "xhand_tabletop"
-#: What plug-ins are made of, beside the classes of the registries.
+#: What plug-ins are made of, beside the classes of the registries; those of devices have two.
 CONTRACTS = (
+    "candata.record.devices.Device",
+    "candata.record.devices.StreamDevice",
     "candata.effects.Parameter",
     "candata.effects.Forces",
     "candata.effects.Servos",
@@ -101,7 +103,7 @@ def plain(text: str | None) -> str:
 def python_page() -> str:
     """Return the page of the public Python names, the contracts of plug-ins and the errors."""
     homes = [f"{candata._HOMES[name]}.{name}" for name in candata.__all__]
-    contracts = [_dotted(plugins.registry(kind).contract) for kind in sorted(plugins.REGISTRIES)]
+    contracts = [_dotted(plugins.registry(kind).contract) for kind in sorted(plugins.REGISTRIES) if kind != "devices"]
     suites = [(f"`{name}`", plain(getattr(testing, name).__doc__).split("\n")[0]) for name in testing.__all__]
     kinds = [
         (f"`{name}`", str(kind.exit_code), plain(kind.__doc__).split("\n")[0])
@@ -110,7 +112,7 @@ def python_page() -> str:
     ]
     parts = ["# Python", "`import candata` gives the names of the first section. Arrays are SI; quaternions are w x y z."]
     parts += ["## Public names", *(f"::: {home}" for home in homes)]
-    parts += ["## Contracts of plug-ins", *(f"::: {name}" for name in dict.fromkeys([*contracts, *CONTRACTS]))]
+    parts += ["## Contracts of plug-ins", *(f"::: {name}" for name in [*contracts, *CONTRACTS] if name not in homes)]
     parts += ["## Suites for tests of plug-ins", "All lie in `candata.testing`.", rows(("suite", "what it is"), suites)]
     parts += ["## Errors", "All lie in `candata.errors`.", rows(("error", "exit code", "when"), kinds)]
     return "\n\n".join(parts) + "\n"

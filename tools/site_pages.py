@@ -23,7 +23,6 @@ ROOT = Path(__file__).resolve().parents[1]
 MOUNTED = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
 LINK = re.compile(r"(?P<text>\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:|data:)(?P<path>[^)#\s]*)(?P<anchor>#[^)\s]+)?\)")
 TEST_TAG = re.compile(r"^<!-- (?:test|not run): [^\n]*-->\n", re.MULTILINE)
-FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
 
 
 def site_path(path: str) -> str:
