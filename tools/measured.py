@@ -34,7 +34,12 @@ SELF_CHECK = RESULTS / "01_the_self_check.json"
 #: Between these two lines README holds its table.
 BEGIN, END = "<!-- measured: written by tools/measured.py -->", "<!-- end of measured -->"
 #: Kinds of evidence in README's table, in order, and what stands there for each.
-GROUPS = {"sealed": "sealed, simulated", "real": "real recordings", "policies": "policies, simulated", "paper": "the paper's table"}
+GROUPS = {
+    "sealed": "sealed, simulated",
+    "real": "real recordings",
+    "policies": "policies, simulated",
+    "paper": "the paper's table",
+}
 
 OPENING = """\
 # Measured
@@ -52,8 +57,8 @@ candata gap bench --seed 8 --out out/bench    # the self-check alone: 75 to 90 m
 
 - A **floor** is what the simulator shows against a recording of itself with the same sensor noise. An effect worth 0.05
   floors hardly shows.
-- A case is **sealed** if what is hidden in it was drawn and stored before anyone, or any search, looked at it. A draw is
-  used once. What it misses leads to the next search, which is then judged on a new draw.
+- A case is **sealed** if what is hidden in it was drawn and stored before anyone, or any search, looked at it. A draw
+  is used once. What it misses leads to the next search, which is then judged on a new draw.
 - **Seen again** marks a result on a case whose answer was already known.
 - Bold figures miss their target.
 """
@@ -93,7 +98,11 @@ def provenance(section: Section) -> str:
     """Return how and when a section was measured."""
     dates = sorted({record["date"] for record in section.records()})
     days = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
-    own = ", unless a table or row names another command" if any("command" in record for record in section.records()) else ""
+    own = (
+        ", unless a table or row names another command"
+        if any("command" in record for record in section.records())
+        else ""
+    )
     return f"Measured by `{section.command}`{own}; candata {section.version}, {days}."
 
 

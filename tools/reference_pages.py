@@ -110,7 +110,10 @@ def python_page() -> str:
         for name, kind in sorted(vars(errors).items())
         if inspect.isclass(kind) and issubclass(kind, errors.CandataError)
     ]
-    parts = ["# Python", "`import candata` gives the names of the first section. Arrays are SI; quaternions are w x y z."]
+    parts = [
+        "# Python",
+        "`import candata` gives the names of the first section. Arrays are SI; quaternions are w x y z.",
+    ]
     parts += ["## Public names", *(f"::: {home}" for home in homes)]
     parts += ["## Contracts of plug-ins", *(f"::: {name}" for name in [*contracts, *CONTRACTS] if name not in homes)]
     parts += ["## Suites for tests of plug-ins", "All lie in `candata.testing`.", rows(("suite", "what it is"), suites)]
@@ -129,7 +132,7 @@ def effects_page() -> str:
     parts = [
         "# Every effect in numbers",
         f"Ranges depend on the scene; those shown are of the built-in `{SCENE}`. An effect vanishes at its neutral"
-        " value; where there is none it replaces the model's own number. [Effects](../effects.md) says how to use them.",
+        " value. Where there is none, it replaces the model's own number. [Effects](../effects.md) says how to use it.",
     ]
     head = ("parameter", "unit", "range", "neutral", "source of the range")
     for name, effect in EFFECTS.load_all().items():
@@ -176,7 +179,9 @@ def schemas_page() -> str:
     for name, text in schema_documents().items():
         schema = json.loads(text)
         if isinstance(schema, list):
-            body = [(f"`{row['name']}`", row["unit"], _shape(row["shape"]), row["role"], row["meaning"]) for row in schema]
+            body = [
+                (f"`{row['name']}`", row["unit"], _shape(row["shape"]), row["role"], row["meaning"]) for row in schema
+            ]
             head = ("channel", "unit", "shape", "role", "meaning")
             parts += ["## Channels", "[channels.json](../schemas/channels.json)", rows(head, body)]
             continue

@@ -1,4 +1,4 @@
-"""Hook of MkDocs: the pages of the site that do not lie in `docs/`, and links that work on the site and in the repository.
+"""Hook of MkDocs: pages that do not lie in `docs/`, and links that lead to the same page here and on the site.
 
 README is the first page. ARCHITECTURE, CONTRIBUTING, CHANGELOG, the READMEs of `examples/` and every file that a page
 links to are copied to the same path on the site. `reference_pages` writes the reference from the code. A notebook of
@@ -21,7 +21,9 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[1]
 #: Markdown of the repository that has a page though it lies outside `docs/`.
 MOUNTED = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
-LINK = re.compile(r"(?P<text>\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:|data:)(?P<path>[^)#\s]*)(?P<anchor>#[^)\s]+)?\)")
+LINK = re.compile(
+    r"(?P<text>\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:|data:)(?P<path>[^)#\s]*)(?P<anchor>#[^)\s]+)?\)"
+)
 TEST_TAG = re.compile(r"^<!-- (?:test|not run): [^\n]*-->\n", re.MULTILINE)
 
 

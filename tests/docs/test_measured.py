@@ -41,7 +41,9 @@ def test_a_headline_shows_numbers_of_its_section():
         numbers = set(re.findall(r"\d+(?:\.\d+)?", json.dumps(values)))
         for record in section.records():
             if "headline" in record:
-                assert set(re.findall(r"\d+(?:\.\d+)?", measured.headline_value(record))) <= numbers | levels(record), record
+                assert set(re.findall(r"\d+(?:\.\d+)?", measured.headline_value(record))) <= numbers | levels(record), (
+                    record
+                )
 
 
 def test_a_draw_of_the_bench_becomes_the_first_column(tmp_path, monkeypatch):
