@@ -23,6 +23,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -153,7 +154,7 @@ def misses() -> list[tuple[str, ...]]:
 
 
 def headlines() -> str:
-    """Return the table of README: evidence by kind, each with its target and its command."""
+    """Return the table of README: evidence by kind, each with its target and its command; repeats are left empty."""
     rows = [
         (
             GROUPS[record["headline"]["group"]],
@@ -167,7 +168,11 @@ def headlines() -> str:
         for record in section.records()
         if record.get("headline", {}).get("group") == group
     ]
-    return table(("evidence", "question", "result", "target", "command"), rows)
+    shown = [
+        tuple("" if column in (0, 4) and cell == above[column] else cell for column, cell in enumerate(cells))
+        for above, cells in pairwise([("",) * 5, *rows])
+    ]
+    return table(("evidence", "question", "result", "target", "command"), shown)
 
 
 def headline_value(record: dict[str, Any]) -> str:

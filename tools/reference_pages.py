@@ -84,9 +84,14 @@ def option_row(param: Any) -> tuple[str, ...]:
         names = f"`{_argument(param)}`"
     else:
         names = ", ".join(f"`{opt}`" for opt in [*param.opts, *param.secondary_opts])
-    default = "required" if param.required else "" if param.default in (None, (), "", False) else f"`{param.default}`"
+    default = "required" if param.required else _default(param.default)
     # The default number of processes is that of this machine's cores.
     return names, getattr(param, "help", "") or "", "cores" if "--jobs" in param.opts else default
+
+
+def _default(value: Any) -> str:
+    """Return a default as code; an option that is off or not given has none."""
+    return "" if value is None or value is False or value in ((), "") else f"`{value}`"
 
 
 def _argument(param: Any) -> str:
