@@ -226,6 +226,7 @@ class DiagnosisData(ResultRecord):
 class Report(ResultRecord):
     """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms.
 
+    `measures` holds null where nothing could be measured.
     `given_effects` belong to the nominal simulator: gap and effects are what comes on top of them.
     """
 
@@ -246,7 +247,7 @@ class Report(ResultRecord):
     calibration: Calibration | None = None
     given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData
-    measures: dict[str, dict[str, float]] = {}
+    measures: dict[str, dict[str, float | None]] = {}
     provenance: dict[str, str] = {}
 
     def __repr__(self) -> str:

@@ -34,6 +34,7 @@ LAYERS = (
     ("experiment",),
     ("policy_evaluation",),
     ("reports",),
+    ("plot",),
     ("testing",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
