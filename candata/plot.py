@@ -56,7 +56,7 @@ MOST_PLACES, MOST_CANDIDATES, MOST_STATISTICS = 12, 10, 12
 #: Places for bars in the figure of a gap, at least.
 FEWEST_SLOTS = 6
 #: Colours of lines, of the gap before and after the repair, of contact, and of what is not named.
-COLOURS = (*colormaps["tab20"].colors[::2], *colormaps["tab20"].colors[1::2])
+COLOURS = tuple(colormaps["tab20"](k) for k in (*range(0, 20, 2), *range(1, 20, 2)))
 BEFORE, AFTER, TOUCH, QUIET = "#cc6a1f", "#0f766e", "#a86a12", "#a9aeb4"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
@@ -247,7 +248,7 @@ class Report(ResultRecord):
     calibration: Calibration | None = None
     given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData
-    measures: dict[str, dict[str, float | None]] = {}
+    measures: Mapping[str, Mapping[str, float | None]] = {}
     provenance: dict[str, str] = {}
 
     def __repr__(self) -> str:
