@@ -6,7 +6,6 @@ Each function returns a `matplotlib.figure.Figure`, which a notebook shows: `fig
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,17 +16,14 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset, open_dataset
 from candata.datasets.compare import ComparisonRow, compare
 from candata.datasets.distance import Bars
-from candata.datasets.elements import columns, elements, fingertip_labels, joint_labels
 from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.errors import MissingExtraError, UnknownNameError, UsageError
 from candata.reports.comparison import row_unit, verdict
 from candata.reports.envelope import runs
 from candata.reports.inspection import units_of
-from candata.reports.joint_units import joint_units, readable_unit
+from candata.reports.lanes import USUAL_CHANNELS, Lane, lanes
 from candata.reports.numbers import percent
-from candata.reports.traces import command_joints, masked
 from candata.reports.words import effect_title, headline, readable_name
-from candata.rotation import difference
 from candata.schema.channels import DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.json_text import read_json
@@ -46,8 +42,7 @@ if TYPE_CHECKING:
     from candata.gap import Diagnosis
 
 Array = NDArray[np.float64]
-#: Channels that are drawn where none are named, and the name under which flags of contact are drawn.
-USUAL_CHANNELS = ("object_pose", "joint_position", "fingertip_force", "fingertip_contact")
+#: Channels that are drawn as bars, one a touch.
 CONTACT_CHANNELS = ("fingertip_contact", "contact")
 #: Width of a figure, height of a panel, and height of a line of a legend or of a bar [inch].
 WIDTH_IN, PANEL_IN, LINE_IN = 9.0, 1.9, 0.22
@@ -68,16 +63,6 @@ class _NotebookFigure(Figure):
         buffer = BytesIO()
         self.savefig(buffer, format="png")
         return buffer.getvalue()
-
-
-@dataclass(frozen=True)
-class _Panel:
-    """Lines over time in one unit; `commands` are drawn dashed in the colour of the line with their name."""
-
-    title: str
-    unit: str
-    lines: Mapping[str, Array]
-    commands: Mapping[str, Array] = field(default_factory=dict)
 
 
 def episode(recording: Episode, channels: Sequence[str] | None = None) -> Figure:
@@ -104,8 +89,10 @@ def episode(recording: Episode, channels: Sequence[str] | None = None) -> Figure
     for name in channels or ():
         if name not in drawable:
             raise UnknownNameError("channel of the episode", name, drawable)
-    names = [name for name in (USUAL_CHANNELS if channels is None else channels) if name in drawable]
-    panels = [panel for name in names if name not in CONTACT_CHANNELS for panel in _panels(recording, name)]
+    names = [
+        name for name in ((*USUAL_CHANNELS, *CONTACT_CHANNELS) if channels is None else channels) if name in drawable
+    ]
+    panels = lanes(recording, [name for name in names if name not in CONTACT_CHANNELS])
     touch = touches(recording) if any(name in CONTACT_CHANNELS for name in names) else {}
     if not panels and not touch:
         raise UsageError(f"episode {recording.meta.id} has nothing to draw", found=", ".join(drawable) or "time alone")
@@ -123,61 +110,7 @@ def episode(recording: Episode, channels: Sequence[str] | None = None) -> Figure
     return figure
 
 
-def _panels(recording: Episode, channel: str) -> list[_Panel]:
-    """Return the panels of one channel."""
-    units = joint_units(recording.meta.scene)
-    values = masked(recording, channel)
-    if channel == "object_pose":
-        position = {axis: values[:, k] for k, axis in enumerate("xyz")}
-        return [
-            _Panel("object's position", "m", position),
-            _Panel("object's turn from its first pose", "deg", {"turn": _turn_deg(values[:, 3:])}),
-        ]
-    if channel == "fingertip_force":
-        sizes = np.linalg.norm(values, axis=2)
-        names = fingertip_labels(recording.meta, sizes.shape[1])
-        return [_Panel("fingertip force", "N", dict(zip(names, sizes.T, strict=True)))]
-    if channel == "joint_position":
-        return _joint_panels(recording, values, units)
-    flat = columns(recording, channel)[0].astype(float)
-    flat[~recording.valid(channel)] = np.nan
-    by_unit: dict[str, dict[str, Array]] = {}
-    for k, element in enumerate(elements(recording.meta, channel, recording[channel].shape[1:])):
-        by_unit.setdefault(readable_unit(element.unit, element.name, units), {})[element.name or channel] = flat[:, k]
-    return [_Panel(readable_name(channel), unit, lines) for unit, lines in by_unit.items()]
-
-
-def _joint_panels(recording: Episode, position: Array, units: Mapping[str, str]) -> list[_Panel]:
-    """Return a panel for the joints of each unit, with the commands that bear their names."""
-    names = joint_labels(recording.meta, position.shape[1])
-    lines_by_unit: dict[str, dict[str, Array]] = {}
-    for name, values in zip(names, position.T, strict=True):
-        lines_by_unit.setdefault(readable_unit("joint", name, units), {})[name] = values
-    commands: dict[str, Array] = {}
-    if "action" in recording:
-        action = masked(recording, "action")
-        commands = dict(zip(command_joints(recording, names, action.shape[1]), action.T, strict=True))
-    return [
-        _Panel(
-            "joint position, command dashed" if commands.keys() & lines.keys() else "joint position",
-            unit,
-            lines,
-            {name: values for name, values in commands.items() if name in lines},
-        )
-        for unit, lines in lines_by_unit.items()
-    ]
-
-
-def _turn_deg(quaternion: Array) -> Array:
-    """Return `(T,)` the angle [deg] from the first valid orientation; NaN where none is valid."""
-    valid_rows = np.flatnonzero(np.isfinite(quaternion).all(axis=1))
-    if not len(valid_rows):
-        return np.full(len(quaternion), np.nan)
-    first = np.tile(quaternion[valid_rows[0]], (len(quaternion), 1))
-    return np.degrees(np.linalg.norm(difference(first, quaternion), axis=1))
-
-
-def _draw_lines(axis: Axes, time_s: Array, panel: _Panel) -> None:
+def _draw_lines(axis: Axes, time_s: Array, panel: Lane) -> None:
     """Draw the lines of a panel and name them beside it."""
     for k, (name, values) in enumerate(panel.lines.items()):
         colour = COLOURS[k % len(COLOURS)]
