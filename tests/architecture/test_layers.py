@@ -20,6 +20,7 @@ LAYERS = (
     ("datasets",),
     ("formats",),
     ("fetch",),
+    ("hub",),
     ("scenes",),
     ("effects",),
     ("policies",),
