@@ -12,7 +12,7 @@ from candata.datasets.elements import Element, columns, elements
 from candata.datasets.histograms import Distribution, Histogram
 from candata.datasets.summary import ANY_FINGERTIP, Summary, summarise, touches
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
-from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.episode import Episode
 
 #: Different sets of elements (other joints, other fingertips) of one channel that get histograms of their own.
 MOST_SETS = 6
@@ -33,8 +33,8 @@ class EpisodeFacts:
 
     Attributes
     ----------
-    meta : EpisodeMeta
-        Who, what, when.
+    id, source : str
+    scene, object, task, outcome : str or None
     rows : int
     duration_s : float
     contact_share : float or None
@@ -43,7 +43,12 @@ class EpisodeFacts:
         Share of rows in which any channel holds no value.
     """
 
-    meta: EpisodeMeta
+    id: str
+    source: str
+    scene: str | None
+    object: str | None
+    task: str | None
+    outcome: str | None
     rows: int
     duration_s: float
     contact_share: float | None
@@ -116,8 +121,14 @@ def _facts(episode: Episode) -> EpisodeFacts:
     for name, flags in episode.arrays.items():
         if name.endswith(VALID_SUFFIX):
             invalid |= ~flags
-    contact_share = None if touch is None else float(touch.mean())
-    return EpisodeFacts(episode.meta, len(episode), float(episode.time_s[-1]), contact_share, float(invalid.mean()))
+    meta = episode.meta
+    return EpisodeFacts(
+        *(meta.id, meta.source, meta.scene, meta.object, meta.task, meta.outcome),
+        rows=len(episode),
+        duration_s=float(episode.time_s[-1]),
+        contact_share=None if touch is None else float(touch.mean()),
+        invalid_share=float(invalid.mean()),
+    )
 
 
 _Key = tuple[str, tuple[Element, ...]]

@@ -95,9 +95,9 @@ def page(survey: Survey, playbacks: Playbacks, episode: Episode | None = None) -
         unplayable_count=len(survey.episodes) - len(playbacks.episodes),
         geometries=[(name, Markup(text)) for name, text in playbacks.geometries.items()],
         playbacks=[
-            (number, Markup(playbacks.episodes[facts.meta.id]))
+            (number, Markup(playbacks.episodes[facts.id]))
             for number, facts in enumerate(survey.episodes)
-            if facts.meta.id in playbacks.episodes
+            if facts.id in playbacks.episodes
         ],
         scope="this episode" if episode or summary.episodes == 1 else f"all {summary.episodes:,} episodes",
         distributions=distributions(survey.distributions, units),
@@ -215,18 +215,16 @@ def _outcome_rows(by_task: Mapping[str, Mapping[str, int]]) -> list[tuple[str, .
 def _episode_list(episodes: Sequence[EpisodeFacts], playbacks: Playbacks) -> tuple[list[str], list[ListedEpisode]]:
     """Return heads and rows of the list of episodes; labels that no episode has are left out."""
     labels = [
-        name
-        for name in ("source", "scene", "object", "task", "outcome")
-        if any(getattr(e.meta, name) for e in episodes)
+        name for name in ("source", "scene", "object", "task", "outcome") if any(getattr(e, name) for e in episodes)
     ]
     rows = []
     for number, facts in enumerate(episodes):
-        cells: list[tuple[str, float | None]] = [(facts.meta.id, None)]
-        cells += [(getattr(facts.meta, name) or DASH, None) for name in labels]
+        cells: list[tuple[str, float | None]] = [(facts.id, None)]
+        cells += [(getattr(facts, name) or DASH, None) for name in labels]
         cells += [(f"{facts.rows:,}", facts.rows), (digits(facts.duration_s), facts.duration_s)]
         contact = DASH if facts.contact_share is None else percent(facts.contact_share)
         cells += [(contact, facts.contact_share or 0.0), (percent(facts.invalid_share), facts.invalid_share)]
-        rows.append(ListedEpisode(number, tuple(cells), facts.meta.id in playbacks.episodes))
+        rows.append(ListedEpisode(number, tuple(cells), facts.id in playbacks.episodes))
     return ["episode", *labels, "rows", "seconds", "in contact", "invalid rows"], rows
 
 

@@ -39,16 +39,27 @@ class Lane:
     commands: Mapping[str, Array] = field(default_factory=dict)
 
 
-def lanes(episode: Episode, channels: Sequence[str] = USUAL_CHANNELS) -> list[Lane]:
+def lanes(
+    episode: Episode, channels: Sequence[str] = USUAL_CHANNELS, units: Mapping[str, str] | None = None
+) -> list[Lane]:
     """Return the lanes of those of the channels that an episode has.
 
     An object's pose becomes its position and its turn from the first valid row, a fingertip's force the size of its
     vector; joints are split by their unit.
+
+    Parameters
+    ----------
+    episode : Episode
+    channels : sequence of str
+        Channels to draw.
+    units : mapping of str to str, optional
+        Units of the joints, as `joint_units` has them; by default of the episode's scene, where it is built in.
     """
-    return [lane for name in channels if name in episode for lane in _lanes(episode, name)]
+    known_units = joint_units(episode.meta.scene) if units is None else units
+    return [lane for name in channels if name in episode for lane in _lanes(episode, name, known_units)]
 
 
-def _lanes(episode: Episode, channel: str) -> list[Lane]:
+def _lanes(episode: Episode, channel: str, units: Mapping[str, str]) -> list[Lane]:
     """Return the lanes of one channel."""
     values = masked(episode, channel)
     if channel == "object_pose":
@@ -60,19 +71,17 @@ def _lanes(episode: Episode, channel: str) -> list[Lane]:
         names = fingertip_labels(episode.meta, sizes.shape[1])
         return [Lane("fingertip force", "N", dict(zip(names, sizes.T, strict=True)))]
     if channel == "joint_position":
-        return _joint_lanes(episode, values)
+        return _joint_lanes(episode, values, units)
     flat = columns(episode, channel)[0].astype(float)
     flat[~episode.valid(channel)] = np.nan
-    units = joint_units(episode.meta.scene)
     by_unit: dict[str, dict[str, Array]] = {}
     for k, element in enumerate(elements(episode.meta, channel, episode[channel].shape[1:])):
         by_unit.setdefault(readable_unit(element.unit, element.name, units), {})[element.name or channel] = flat[:, k]
     return [Lane(readable_name(channel), unit, lines) for unit, lines in by_unit.items()]
 
 
-def _joint_lanes(episode: Episode, position: Array) -> list[Lane]:
+def _joint_lanes(episode: Episode, position: Array, units: Mapping[str, str]) -> list[Lane]:
     """Return a lane for the joints of each unit, with the commands that bear their names."""
-    units = joint_units(episode.meta.scene)
     names = joint_labels(episode.meta, position.shape[1])
     by_unit: dict[str, dict[str, Array]] = {}
     for name, values in zip(names, position.T, strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,8 @@ from candata.datasets import Dataset, get_cloud
 from candata.datasets.elements import fingertip_labels
 from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.errors import UsageError, Where
-from candata.reports.envelope import envelope, runs
+from candata.reports.envelope import COLUMNS, envelope, runs
+from candata.reports.joint_units import units_in
 from candata.reports.lanes import lanes
 from candata.reports.numbers import digits
 from candata.reports.posed import PosedRows, ScenePoser, poser
@@ -26,9 +27,8 @@ from candata.scenes.recorded_names import builtin_scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Columns of a trace, frames of what moves (between which a script fills in), points of an object's cloud. Chosen: a
-#: page is hardly wider in pixels.
-COLUMNS, MOST_FRAMES, FEWEST_FRAMES, CLOUD_POINTS = 160, 160, 24, 400
+#: Frames of what moves, between which a script fills in, and points of an object's cloud. Chosen.
+MOST_FRAMES, FEWEST_FRAMES, CLOUD_POINTS = 600, 24, 400
 #: Aim for one episode, and what all episodes of a page may take [bytes of text]. Chosen: a page that a mail takes.
 EPISODE_BYTES, PAGE_BYTES = 180_000, 20_000_000
 #: Largest whole number of a value, and the number that stands for no value.
@@ -71,10 +71,11 @@ class Playbacks:
         """
         if sum(map(len, (*self.episodes.values(), *self.geometries.values()))) > PAGE_BYTES:
             return
-        record: dict[str, Any] = {"id": episode.meta.id, "facts": facts_text(episode), "end": float(episode.time_s[-1])}
-        record |= {"lanes": _lanes(episode), "touch": _touch(episode)}
-        text_bytes = len(json.dumps(record))
         scene_poser, why = self._poser(episode)
+        units = None if scene_poser is None else units_in(scene_poser.scene)
+        record: dict[str, Any] = {"id": episode.meta.id, "facts": facts_text(episode), "end": float(episode.time_s[-1])}
+        record |= {"lanes": _lanes(episode, units), "touch": _touch(episode)}
+        text_bytes = len(json.dumps(record))
         frames = _frames(episode, scene_poser, EPISODE_BYTES - text_bytes)
         if frames is not None:
             record |= {"frames": frames, "geometry": self._geometry(episode, scene_poser)}
@@ -89,7 +90,7 @@ class Playbacks:
         try:
             return poser(self._load(builtin_scene(episode.meta.scene, where)), episode), ""
         except UsageError as error:
-            return None, f"The hand is not drawn: {error.problem} ({error.fix})."
+            return None, f"{error.problem} ({error.fix})."
 
     def _load(self, name: str) -> Scene:
         """Return a scene; each is loaded once."""
@@ -143,10 +144,10 @@ def _packed(values: Array) -> dict[str, Any]:
     return {"data": data, "low": float(f"{low:.7g}"), "step": float(f"{step:.7g}")}
 
 
-def _lanes(episode: Episode) -> list[dict[str, Any]]:
+def _lanes(episode: Episode, units: Mapping[str, str] | None) -> list[dict[str, Any]]:
     """Return the lanes of an episode, each line thinned to its least and largest value in each column."""
     records = []
-    for lane in lanes(episode):
+    for lane in lanes(episode, units=units):
         lines = []
         for name in list(lane.lines)[:MOST_TRACES]:
             pairs = [(lane.lines[name], False), *([(lane.commands[name], True)] if name in lane.commands else [])]
@@ -262,11 +263,11 @@ def _object_geometry(points: NDArray[np.float32] | None) -> dict[str, Any]:
 def _notes(episode: Episode, scene_poser: ScenePoser | None, why: str, frames: dict[str, Any] | None) -> Iterable[str]:
     """Yield what to know of what is shown."""
     if frames is None:
-        yield "Nothing is drawn in space: the episode has no valid pose."
-    elif frames["rows"] < frames["of"]:
+        yield f"Nothing is drawn in space: {why or 'the episode has no valid pose.'}"
+    elif why:
+        yield f"The hand is not drawn: {why}"
+    if frames is not None and frames["rows"] < frames["of"]:
         yield f"In space {frames['rows']} of {frames['of']:,} rows are kept; between them places are interpolated."
-    if why and frames is not None:
-        yield why
     if scene_poser is not None and scene_poser.missing_joints:
         yield f"Joints that were not recorded stay where the model has them: {', '.join(scene_poser.missing_joints)}."
     for channel in ("object_pose", "joint_position"):

@@ -27,7 +27,7 @@ def test_each_episode_has_a_line_and_is_shown_to_who_watches(made, episode):
         made(episode("a", rows=40), episode("b", contact=False), type(base)(base.meta, {**base.arrays, **valid})),
         watch=watched.append,
     )
-    assert [(e.meta.id, e.rows, e.contact_share, e.invalid_share) for e in found.episodes] == [
+    assert [(e.id, e.rows, e.contact_share, e.invalid_share) for e in found.episodes] == [
         ("a", 40, 0.5, 0.0),
         ("b", 20, None, 0.0),
         ("c", 20, 0.5, 0.1),

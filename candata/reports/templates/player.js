@@ -92,12 +92,9 @@
   };
 
   const drawStage = () => {
-    const [pen, width, height] = fit(stage), frames = shown.frames, ink = colours();
-    if (!frames) {
-      pen.fillStyle = ink.muted; pen.font = "13px system-ui"; pen.textAlign = "center";
-      pen.fillText("nothing to draw in space", width / 2, height / 2);
-      return;
-    }
+    const frames = shown.frames;
+    if (!frames) return;
+    const [pen, width, height] = fit(stage), ink = colours();
     const seen = camera(frames, width, height), bodies = geometry(shown.geometry).bodies;
     const still = [], moving = [];
     bodies.forEach((body, b) => {
@@ -181,7 +178,7 @@
       pen.textAlign = "right";
       for (const v of [lane.low, (lane.low + lane.high) / 2, lane.high]) {
         stroke(pen, [[PAD.left, y(v)], [width - PAD.right, y(v)]], ink.rule, 1);
-        pen.fillText(short(v), PAD.left - 5, y(v) + 4);
+        pen.fillText(short(Math.abs(v) < 1e-6 * span ? 0 : v), PAD.left - 5, y(v) + 4);
       }
       for (const line of lane.lines) {
         pen.setLineDash(line.command ? [4, 3] : []);
@@ -206,7 +203,8 @@
     if (line.spans) return line.spans.some(([a, b]) => a <= time && time < b) ? "touches" : "";
     let k = lane.time.findIndex(t => t > time);
     k = k < 0 ? lane.time.length - 1 : Math.max(k - 1, 0);
-    return Number.isFinite(line.values[k]) ? short(line.values[k]) : "";
+    const value = line.values[k], span = lane.high - lane.low;
+    return Number.isFinite(value) ? short(Math.abs(value) < 1e-6 * span ? 0 : value) : "";
   };
 
   const makeLane = (title, unit) => {
@@ -275,6 +273,7 @@
     document.querySelectorAll(".episodes tr.open").forEach(r => r.classList.remove("open"));
     row?.closest("tr").classList.add("open");
     player.hidden = false;
+    player.classList.toggle("flat", !shown.frames);
     part(".player-name").textContent = shown.id;
     part(".player-facts").textContent = shown.facts;
     part(".player-notes").replaceChildren(...shown.notes.map(text => Object.assign(document.createElement("li"), { textContent: text })));
