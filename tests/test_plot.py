@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
+import importlib
 import sys
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 
 from candata import plot
 from candata.datasets import append, create_dataset, open_dataset
-from candata.errors import UnknownNameError, UsageError
+from candata.errors import MissingExtraError, UnknownNameError, UsageError
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 from candata.schema.report import DiagnosisData, EpisodeCount, Gap, NamedEffect, RankedEffect, Report, Symptom
@@ -125,7 +125,8 @@ def test_a_figure_shows_itself_in_a_notebook(recording):
     assert plot.episode(recording, ["action"])._repr_png_().startswith(b"\x89PNG")
 
 
-def test_without_matplotlib_the_extra_is_named():
-    code = "import sys; sys.modules['matplotlib'] = None; import candata; candata.plot"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert 'pip install "candata[plot]"' in done.stderr
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "candata.plot")
+    with pytest.raises(MissingExtraError, match=r'pip install "candata\[plot\]"'):
+        importlib.import_module("candata.plot")
