@@ -96,6 +96,10 @@ class Dataset:
         """Yield all episodes in the order of `ids`."""
         return self.episodes()
 
+    def __contains__(self, id: object) -> bool:
+        """Tell whether an episode with this id is in the version."""
+        return id in self.places
+
     @overload
     def __getitem__(self, key: int | str) -> Episode: ...
 

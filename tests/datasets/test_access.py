@@ -26,6 +26,8 @@ def test_a_slice_is_a_list_of_episodes(data):
 
 def test_an_id_is_a_key(data):
     assert data["c"].meta.id == "c"
+    assert "c" in data
+    assert "e" not in data
     with pytest.raises(UnknownNameError, match="unknown episode 'e'"):
         data["e"]
 
