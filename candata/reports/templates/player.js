@@ -156,7 +156,7 @@
     }
   };
 
-  const PAD = { left: 46, right: 8, top: 6, bottom: 16 };
+  const PAD = { left: 54, right: 8, top: 6, bottom: 16 };
   const across = (t, width) => PAD.left + (width - PAD.left - PAD.right) * (shown.end > 0 ? t / shown.end : 0);
   const short = v => Math.abs(v) >= 1000 || (v && Math.abs(v) < 0.001) ? v.toExponential(1) : String(+v.toPrecision(3));
 
