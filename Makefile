@@ -8,14 +8,15 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 PINS := pyproject.toml constraints.txt
 
-.PHONY: help demo test test-slow test-hard check format bench schemas clean
+.PHONY: help demo test test-slow test-hard check docs format bench schemas clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo       plant a hidden effect, diagnose it, compare (SEED=2 takes another); see out/demo"
 	@echo "make test       the fast suite;  make test-slow: the long statistical tests"
 	@echo "make test-hard  hostile input, kills, races and bombs: what docs/hardness.md promises, in small sizes"
-	@echo "make check      lint, formatting and types;  make format: mend the first two"
+	@echo "make check      lint, formatting, types and the site;  make format: mend the first two"
+	@echo "make docs       the site in out/site, warnings as errors"
 	@echo "make bench      the measured promises, printed beside their targets"
 	@echo "make schemas    write schemas/ from the records"
 	@echo "make clean      remove .venv, out/ and caches"
@@ -41,6 +42,10 @@ check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(MAKE) docs
+
+docs: $(VENV)/dev.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
@@ -71,5 +76,5 @@ $(VENV)/test.stamp: $(VENV)/core.stamp
 	@touch $@
 
 $(VENV)/dev.stamp: $(VENV)/core.stamp
-	$(PIP) --editable ".[test,dev]"
+	$(PIP) --editable ".[test,dev,docs]"
 	@touch $@

@@ -1,6 +1,6 @@
 """Contact-rich manipulation data in one physical schema, and a diagnosis of the sim-to-real gap.
 
-The names below are the public surface; each is imported from its room on first use.
+The names below are the public surface, each imported from its room on first use; `candata.plot` draws (extra `plot`).
 """
 
 from __future__ import annotations
@@ -30,13 +30,17 @@ __all__ = ["Effect", "Episode", "Scene", "diagnose", "load_scene", "open_dataset
 
 
 def __getattr__(name: str) -> Any:
-    """Return the public object `name`, importing its room now.
+    """Return the public object `name` or the module `plot`, importing it now.
 
     Raises
     ------
     AttributeError
         When the name is not public.
+    MissingExtraError
+        When `plot` is asked for and matplotlib is not installed.
     """
+    if name == "plot":
+        return importlib.import_module("candata.plot")
     if name not in _HOMES:
         raise AttributeError(f"module 'candata' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

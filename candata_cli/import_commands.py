@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +11,8 @@ import typer
 
 from candata_cli import console
 from candata_cli import import_options as options
+from candata_cli.hub_source import hub_source, source_details
+from candata_cli.import_publishing import publish_import
 from candata_cli.object_commands import write_objects
 from candata_cli.outputs import check_output
 
@@ -21,15 +22,13 @@ if TYPE_CHECKING:
     from candata.record.import_recipe import ImportRecipe
     from candata.record.import_session import ImportedSession
     from candata.schema.episode import Episode
-    from candata.schema.manifest import Lineage, VersionFile
+    from candata.schema.manifest import Lineage
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write.")]
 Append = Annotated[bool, typer.Option("--append", help="Add to a dataset that stands.")]
 LOG, TABLE = "log", "table"
 #: What a foreign file may not say of its episodes.
 _LABELS = ("scene", "object", "task")
-#: Episodes that a note names.
-_NAMED_EPISODES = 5
 #: Options of `import log` that are not called as the recipe calls them.
 _OPTIONS = {
     "rate_hz": "--rate",
@@ -43,6 +42,7 @@ _EXAMPLES = """\b
 Examples:
   candata import table map.yaml --out recordings
   candata import lerobot downloads/my_set --out recordings
+  candata import lerobot hf:lerobot/svla_so101_pickplace@v3.0 --out recordings
   candata import mcap flight_bag --map topics.yaml --out recordings
   candata import log run.mcap --with table/map.yaml --scene xhand_tabletop --out recordings
 """
@@ -173,12 +173,14 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
     if options["mapping"] is not None and not reader.takes_map:
         raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
     _refuse_standing(out, append)
+    hub_set = hub_source(format_name, str(source))
+    folder = source if hub_set is None else hub_set.folder
     clouds: list[NDArray] = []
     reading = Reading(**options, note=console.note, cloud=clouds.append)
     operation, hashes = f"import {format_name}", []
 
     def episodes() -> Iterator[Episode]:
-        for episode in read(source, reading):
+        for episode in read(folder, reading):
             hashes.append(content_hash(episode))
             yield episode
 
@@ -187,13 +189,14 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
             operation=operation,
             config_digest=hashlib.sha256("\n".join(hashes).encode()).hexdigest(),
             tools={"candata": __version__},
-            details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
+            revision=None if hub_set is None else hub_set.commit,
+            details=source_details(source, hub_set) | {"allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
         )
 
     # One is read before anything is made: a source that is refused leaves not even the folder around the dataset.
     episode_stream = episodes()
     checked_stream = itertools.chain(list(itertools.islice(episode_stream, 1)), episode_stream)
-    _publish(out, append, checked_stream, operation, lineage, clouds=clouds)
+    publish_import(out, append, checked_stream, operation, lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:
@@ -238,7 +241,7 @@ def _import_logs(
                 clouds[:] = scene_clouds
             yield from session.episodes
 
-    _publish(out, append, episodes(), "import log", lineage, part_size=1, clouds=clouds, replaces=replace)
+    publish_import(out, append, episodes(), "import log", lineage, part_size=1, clouds=clouds, replaces=replace)
 
 
 def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[tuple[str, ImportedSession]]:
@@ -310,7 +313,7 @@ def fetch(
         tools={"candata": __version__},
         details={"origin": source.origin, "licence": source.licence, "licence_text": public_data.notice},
     )
-    _publish(out, append, public_data.episodes, lineage.operation, lambda: lineage)
+    publish_import(out, append, public_data.episodes, lineage.operation, lambda: lineage)
 
 
 def _refuse_standing(out: Path, append: bool) -> None:
@@ -320,72 +323,3 @@ def _refuse_standing(out: Path, append: bool) -> None:
     check_output(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
     if out.exists():
         read_dataset_file(out)
-
-
-def _publish(
-    out: Path,
-    append: bool,
-    episodes: Iterable[Episode],
-    operation: str,
-    lineage: Callable[[], Lineage],
-    part_size: int = 16,
-    clouds: Iterable[NDArray] = (),
-    replaces: bool = False,
-) -> None:
-    """Write all episodes as one version and print what was added; a failure leaves no trace.
-
-    A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all; one that another
-    process made meanwhile is added to only where that was asked for. `lineage` and `clouds` are asked once all
-    episodes were read. With `replaces`, episodes take the place of those with their ids in what stands.
-    """
-    from candata.datasets import create_dataset, publish, put_cloud, write_parts
-    from candata.datasets.drafts import draft_beside, place
-    from candata.datasets.replacing import publish_replacing, write_each
-    from candata.datasets.versions import members_of, newest_version
-
-    read_ids: set[str] = set()
-
-    def add(root: Path) -> VersionFile:
-        episode_stream = _with_progress(episodes, read_ids)
-        writes = write_each if replaces else partial(write_parts, part_size=part_size)
-        parts = writes(root, episode_stream, operation)
-        for points in clouds:
-            put_cloud(root, points)
-        return publish_replacing(root, parts, lineage()) if replaces else publish(root, parts, lineage())
-
-    adds = append and out.exists()
-    earlier_version = newest_version(out) if adds else None
-    with console.stoppable(lambda: f"{out} is as it was" if adds else console.written_clause(out)):
-        if adds:
-            version = add(out)
-        else:
-            with draft_beside(out) as folder:
-                draft_root = create_dataset(folder / "dataset", name=out.resolve().name)
-                version = add(draft_root)
-                place(draft_root, out)
-    members = members_of(out, version)
-    earlier = members_of(out, earlier_version) if earlier_version else {}
-    changed_count = sum(members.get(name, content) != content for name, content in earlier.items())
-    changed_text = f", {changed_count} replaced" if replaces else ""
-    _tell_left_out(out, read_ids.intersection(version.exclusions))
-    added_count = len(members) - len(earlier)
-    console.out(f"{out}: {added_count} episodes added{changed_text}, {len(members)} in version {version.number}")
-
-
-def _tell_left_out(out: Path, ids: set[str]) -> None:
-    """Tell which episodes were read and yet are not in the version: an earlier one left them out."""
-    if ids:
-        names = ", ".join(sorted(ids)[:_NAMED_EPISODES]) + (", ..." if len(ids) > _NAMED_EPISODES else "")
-        console.note(
-            f"{len(ids)} episodes stay left out, as in the version before: {names}; to bring them back, "
-            f"import to a new dataset NEW, then: candata registry merge NEW --out {out} --append"
-        )
-
-
-def _with_progress(episodes: Iterable[Episode], read_ids: set[str], every: int = 100) -> Iterator[Episode]:
-    """Yield the episodes, with a line on stderr now and then; `read_ids` takes their ids."""
-    for count, episode in enumerate(episodes, start=1):
-        read_ids.add(episode.meta.id)
-        yield episode
-        if count % every == 0:
-            console.note(f"{count} episodes")

@@ -17,7 +17,10 @@ FormatName = Annotated[
 ]
 Sources = Annotated[
     list[Path],
-    typer.Argument(metavar="SOURCE...", help="For `table`: a map.yaml; for `log`: logs; else a file or folder."),
+    typer.Argument(
+        metavar="SOURCE...",
+        help="For `table`: a map.yaml; for `log`: logs; else a file or folder; lerobot: or hf:ORG/NAME[@REVISION].",
+    ),
 ]
 AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Not log: mark values that are not finite as invalid.")]
 MapFile = Annotated[

@@ -42,45 +42,56 @@ def inspect(
         str | None, typer.Option("--against", metavar="DATASET", help="Compare motion, force and contact with it.")
     ] = None,
     html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Page to write as well.")] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option("--scene", metavar="SCENE", help="With --html: name or scene.yaml of the hand [the episode's]."),
+    ] = None,
     version: Version = None,
     json: Json = False,
 ) -> None:
     """Print what is in a dataset: episodes, channels and ranges, contact, phases, lineage; draw it with --html.
 
+    The page lists all episodes and plays them: hand and object in space, and traces on one time line.
     With --against, the same statistics of two datasets side by side, what differs most first.
     """
     from candata.errors import UsageError
 
     if html is not None:
         check_output(html, "file", "--html")
+    if scene is not None and (html is None or against is not None):
+        raise UsageError("--scene draws the hand in the page of one dataset", fix="give --html FILE, or leave it out")
     data = console.open_named(dataset, version)
     if against is None:
-        _inspect_one(data, episode, html, json)
+        _inspect_one(data, episode, html, scene, json)
     elif episode is not None:
         raise UsageError("--episode and --against do not go together", fix="leave one of them out")
     else:
         _inspect_two(data, console.open_named(against), html, json)
 
 
-def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bool) -> None:
+def _inspect_one(data: Dataset, episode: str | None, html: Path | None, scene: str | None, json: bool) -> None:
     """Print and draw one dataset, or one episode of it."""
     from candata.datasets.summary import summarise
     from candata.datasets.survey import survey
 
     ids = None if episode is None else [episode]
-    meta = None if episode is None else data.episode(episode).meta
+    recording = None if episode is None else data.episode(episode)
     with console.progress("reading episodes", len(data) if ids is None else 1) as advance:
         if html is None:
             summary = summarise(data, lambda: advance(1), ids)
         else:
-            dataset_survey = survey(data, lambda: advance(1), ids)
+            from candata.reports.playback import Playbacks
+
+            playbacks = Playbacks(data, scene)
+            dataset_survey = survey(data, lambda: advance(1), ids, playbacks.add)
             summary = dataset_survey.summary
     if html is not None:
         from candata.datasets.writing import write_text
         from candata.reports.inspection import page
 
-        write_text(html, page(dataset_survey, episode))
+        write_text(html, page(dataset_survey, playbacks, recording))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
+    meta = None if recording is None else recording.meta
     if json:
         record = summary.model_dump(mode="json")
         console.out_json(record if meta is None else {"episode": meta.model_dump(mode="json")} | record)

@@ -26,6 +26,10 @@ from typer.main import get_command_name
 import candata_cli
 from candata.errors import CandataError, SetupError, Where
 from candata_cli.console import EXIT_STOPPED, StoppedRun
+from candata_cli.help_layout import lay_out
+
+#: What a shell sets to ask for completions. Source: click, "Shell Completion": `_PROGRAM_COMPLETE`.
+COMPLETION = "_CANDATA_COMPLETE"
 
 _HELP = """Say where a recording and its simulation differ, why, and how far that can be mended."""
 
@@ -51,7 +55,6 @@ def build() -> typer.Typer:
         epilog=_EXAMPLE,
         callback=_root,
         invoke_without_command=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -60,6 +63,7 @@ def build() -> typer.Typer:
         register = getattr(importlib.import_module(f"candata_cli.{name}"), "register", None)
         if register is not None:
             register(app)
+    lay_out(app)
     return app
 
 
@@ -71,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     try:
         with _noting_interrupts(interrupts), _plain_plugin_warnings():
             app = build()
-            _leave_unread(app, words)
+            if COMPLETION not in os.environ:
+                _leave_unread(app, words)
             app(args=words, prog_name="candata")
         code: int | str | None = 0
     except StoppedRun as stop:

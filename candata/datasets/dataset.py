@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -20,6 +21,7 @@ from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
 from candata.datasets.versions import digest_of, find_version, numbers, read_dataset_file, read_version, version_path
 from candata.errors import DataError, SetupError, UnknownNameError, Where
 from candata.schema.episode import Episode
+from candata.schema.html_text import MOST_ROWS, summary_table
 from candata.schema.manifest import Lineage, VersionFile
 
 #: Decoded row groups (without dense channels) that an iteration keeps, for ids whose order is not that of the parts.
@@ -57,8 +59,8 @@ class Dataset:
 
     path: Path
     name: str
-    file: VersionFile = field(repr=False)
-    places: dict[str, EpisodePlace] = field(repr=False)
+    file: VersionFile
+    places: dict[str, EpisodePlace]
 
     @property
     def version(self) -> int:
@@ -93,6 +95,48 @@ class Dataset:
     def __iter__(self) -> Iterator[Episode]:
         """Yield all episodes in the order of `ids`."""
         return self.episodes()
+
+    def __contains__(self, id: object) -> bool:
+        """Tell whether an episode with this id is in the version."""
+        return id in self.places
+
+    @overload
+    def __getitem__(self, key: int | str) -> Episode: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> list[Episode]: ...
+
+    def __getitem__(self, key: int | str | slice) -> Episode | list[Episode]:
+        """Return the episode at a place in the order of `ids` or with an id, or the list of episodes of a slice.
+
+        Raises
+        ------
+        IndexError
+            When there is no such place.
+        UnknownNameError
+            When the id is not in this version.
+        DataError
+            When a part is damaged; names the file.
+        """
+        if isinstance(key, str):
+            return self.episode(key)
+        if isinstance(key, slice):
+            return list(self.episodes(self.ids[key]))
+        if not -len(self) <= operator.index(key) < len(self):
+            raise IndexError(f"episode {key} of {self.name}: it has {len(self):,} (0 to {len(self) - 1:,})")
+        return self.episode(self.ids[key])
+
+    def __repr__(self) -> str:
+        """Return name, version and size in one line."""
+        return f"Dataset({self.name!r}, version {self.version}, {len(self):,} episodes, digest {self.digest[:12]})"
+
+    def _repr_html_(self) -> str:
+        """Return the first episodes as a table: what a notebook shows."""
+        columns = ("id", "source", "scene", "object", "task", "outcome", "rows")
+        first_rows = self.catalog(columns).slice(0, MOST_ROWS).to_pylist()
+        rows = [["" if row[name] is None else row[name] for name in columns] for row in first_rows]
+        facts = f"version {self.version}, digest {self.digest[:12]}, {len(self):,} episodes, {self.path}"
+        return summary_table(f"Dataset {self.name}", facts, columns, rows, len(self))
 
     def episodes(self, ids: Iterable[str] | None = None) -> Iterator[Episode]:
         """Yield episodes in the order of `ids`, by default all in the order of `self.ids`.

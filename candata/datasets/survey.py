@@ -1,4 +1,4 @@
-"""What a page shows of a dataset: its summary, its distributions and a few whole episodes, in one pass."""
+"""What a page shows of a dataset: its summary, its distributions and a line about each episode, in one pass."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from candata.datasets.dataset import Dataset
 from candata.datasets.elements import Element, columns, elements
 from candata.datasets.histograms import Distribution, Histogram
 from candata.datasets.summary import ANY_FINGERTIP, Summary, summarise, touches
-from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX
+from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 
 #: Different sets of elements (other joints, other fingertips) of one channel that get histograms of their own.
@@ -28,11 +28,31 @@ class ChannelDistribution:
 
 
 @dataclass(frozen=True)
-class ExampleEpisode:
-    """An episode to show whole, and why it was chosen; dense channels are left out."""
+class EpisodeFacts:
+    """What the list of episodes says of one.
 
-    reason: str
-    episode: Episode
+    Attributes
+    ----------
+    id, source : str
+    scene, object, task, outcome : str or None
+    rows : int
+    duration_s : float
+    contact_share : float or None
+        Share of rows in which any fingertip touches; None where no channel says.
+    invalid_share : float
+        Share of rows in which any channel holds no value.
+    """
+
+    id: str
+    source: str
+    scene: str | None
+    object: str | None
+    task: str | None
+    outcome: str | None
+    rows: int
+    duration_s: float
+    contact_share: float | None
+    invalid_share: float
 
 
 @dataclass(frozen=True)
@@ -45,19 +65,24 @@ class Survey:
         Counts, ranges, contact, lineage.
     distributions : tuple of ChannelDistribution
         By channel in the schema's order; of `time_ns` the steps from row to row, in ms.
-    examples : tuple of ExampleEpisode
-        The first episode by id, the longest, and the one with the largest share of rows in contact.
+    episodes : tuple of EpisodeFacts
+        In the order that they were read in.
     sets_left_out : int
         Sets of elements without histograms, as there were too many different ones.
     """
 
     summary: Summary
     distributions: tuple[ChannelDistribution, ...]
-    examples: tuple[ExampleEpisode, ...]
+    episodes: tuple[EpisodeFacts, ...]
     sets_left_out: int
 
 
-def survey(dataset: Dataset, progress: Callable[[], None] = lambda: None, ids: Sequence[str] | None = None) -> Survey:
+def survey(
+    dataset: Dataset,
+    progress: Callable[[], None] = lambda: None,
+    ids: Sequence[str] | None = None,
+    watch: Callable[[Episode], None] = lambda episode: None,
+) -> Survey:
     """Return what a page shows of a version, or of some of its episodes.
 
     Parameters
@@ -68,6 +93,8 @@ def survey(dataset: Dataset, progress: Callable[[], None] = lambda: None, ids: S
         Called after each episode.
     ids : sequence of str, optional
         Only these episodes.
+    watch : callable
+        Given each episode.
 
     Raises
     ------
@@ -76,14 +103,32 @@ def survey(dataset: Dataset, progress: Callable[[], None] = lambda: None, ids: S
     DataError
         When a part is damaged; names the file.
     """
-    bins, picker = _Bins(), _ExamplePicker()
+    bins, facts = _Bins(), list[EpisodeFacts]()
 
-    def watch(episode: Episode) -> None:
+    def add(episode: Episode) -> None:
         bins.add(episode)
-        picker.add(episode)
+        facts.append(_facts(episode))
+        watch(episode)
 
-    summary = summarise(dataset, progress, ids, watch)
-    return Survey(summary, bins.distributions(), picker.examples(), len(bins.left_out))
+    summary = summarise(dataset, progress, ids, add)
+    return Survey(summary, bins.distributions(), tuple(facts), len(bins.left_out))
+
+
+def _facts(episode: Episode) -> EpisodeFacts:
+    """Return what the list says of an episode."""
+    touch = touches(episode).get(ANY_FINGERTIP)
+    invalid = np.zeros(len(episode), bool)
+    for name, flags in episode.arrays.items():
+        if name.endswith(VALID_SUFFIX):
+            invalid |= ~flags
+    meta = episode.meta
+    return EpisodeFacts(
+        *(meta.id, meta.source, meta.scene, meta.object, meta.task, meta.outcome),
+        rows=len(episode),
+        duration_s=float(episode.time_s[-1]),
+        contact_share=None if touch is None else float(touch.mean()),
+        invalid_share=float(invalid.mean()),
+    )
 
 
 _Key = tuple[str, tuple[Element, ...]]
@@ -123,37 +168,3 @@ class _Bins:
             for key in sorted(self.of, key=lambda key: order.index(key[0]))
             for i, element in enumerate(key[1])
         )
-
-
-@dataclass
-class _ExamplePicker:
-    """The episodes that are best by each rule so far; ties go to the first."""
-
-    best_by_rule: dict[str, tuple[float, Episode]] = field(default_factory=dict)
-
-    def add(self, episode: Episode) -> None:
-        """Take in one episode."""
-        touch = touches(episode).get(ANY_FINGERTIP)
-        scores = {"the first": 0.0, "the longest": float(episode.time_s[-1])}
-        if touch is not None and touch.any():
-            scores["the most contact"] = float(touch.mean())
-        for rule, score in scores.items():
-            if rule not in self.best_by_rule or score > self.best_by_rule[rule][0]:
-                self.best_by_rule[rule] = (score, _light(episode))
-
-    def examples(self) -> tuple[ExampleEpisode, ...]:
-        """Return the chosen episodes, each once with all that it is."""
-        reasons: dict[str, list[str]] = {}
-        episodes = {episode.meta.id: episode for _, episode in self.best_by_rule.values()}
-        for rule, (_, episode) in self.best_by_rule.items():
-            reasons.setdefault(episode.meta.id, []).append(rule)
-        return tuple(ExampleEpisode(" and ".join(rules), episodes[name]) for name, rules in reasons.items())
-
-
-def _light(episode: Episode) -> Episode:
-    """Return an episode without its dense channels, which are large and not drawn."""
-    if not any(name.removesuffix(VALID_SUFFIX) in DENSE_CHANNELS for name in episode.arrays):
-        return episode
-    return Episode(
-        episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE_CHANNELS}
-    )

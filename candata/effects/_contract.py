@@ -291,6 +291,11 @@ class Effect:
     advice: Advice | None = None
     traits: frozenset[Trait] = frozenset()
 
+    def __repr__(self) -> str:
+        """Return what it does and its parameters in one line."""
+        parameters = ", ".join(f"{parameter.name} [{parameter.unit}]" for parameter in self.parameters)
+        return f"Effect({self.about!r}, {parameters})"
+
     def replaces(self, scene: Scene) -> bool:
         """Tell whether the effect puts its values in the place of the model's own: it has no identity."""
         return any(bool(np.isnan(p.identity(scene))) for p in self.parameters)

@@ -86,6 +86,14 @@ class Diagnosis:
     named: EffectSet = ()
     replays: float = 0.0
 
+    def __repr__(self) -> str:
+        """Return the report's line."""
+        return f"Diagnosis({self.report!r})"
+
+    def _repr_html_(self) -> str:
+        """Return the report's table: what a notebook shows."""
+        return self.report._repr_html_()
+
 
 @dataclass(frozen=True)
 class Findings:

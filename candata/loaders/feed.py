@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from candata.datasets import Dataset, get_cloud, open_dataset
 from candata.errors import UnknownNameError
 from candata.loaders.cache import Cache, Progress, open_cache
-from candata.loaders.gather import Batch, Gather, OneStore, host_index
+from candata.loaders.gather import Batch, Gather, OneStore, WindowList, host_index
 from candata.loaders.index import Pad, present_rows, strides
 from candata.loaders.layout import known_channels
 from candata.loaders.normaliser import METHODS, SAMPLE, Method, Normaliser, Sample, fit_normaliser
@@ -66,6 +66,11 @@ class Windows:
     fit_episodes: NDArray[np.int64]
     method: Method = "robust"
 
+    def __repr__(self) -> str:
+        """Return name, number and lengths in one line."""
+        lengths = f"{self.history} rows of history, {self.horizon} steps ahead at {self.rate_hz:g} Hz"
+        return f"Windows({self.dataset.name!r}, {len(self):,} windows, {lengths})"
+
     def __len__(self) -> int:
         """Return the number of windows."""
         return len(self.present_row)
@@ -74,9 +79,9 @@ class Windows:
         """Return one window: a batch without the first axis."""
         return {name: values[0] for name, values in self.batch([number]).items()}
 
-    def __getitems__(self, numbers: Sequence[int]) -> Batch:
-        """Return the batch of these windows: what a DataLoader asks for."""
-        return self.batch(numbers)
+    def __getitems__(self, numbers: Sequence[int]) -> WindowList:
+        """Return these windows, gathered at once: what a DataLoader asks for."""
+        return WindowList(self.batch(numbers))
 
     def batch(self, numbers: ArrayLike) -> Batch:
         """Return the windows with these numbers, raw SI values, channel by channel.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, KeysView, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count as count_from
 from typing import Any, Protocol
@@ -15,6 +15,39 @@ from candata.loaders.sampling import Sampler
 #: A numpy array or a torch tensor; one gather holds one kind.
 Array = Any
 Batch = dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowList(Sequence[Batch]):
+    """Windows of one gathered batch: a sequence of windows, and by the name of an entry the whole batch's.
+
+    PyTorch's default collate takes its windows, each without the first axis; `dict` and `as_tensors` take the batch.
+
+    Attributes
+    ----------
+    whole : dict of str to array
+        The batch, see `Windows.batch`.
+    """
+
+    whole: Batch
+
+    def __len__(self) -> int:
+        """Return the number of windows."""
+        return len(next(iter(self.whole.values())))
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a window by its number, or an entry of the whole batch by its name."""
+        if isinstance(key, str):
+            return self.whole[key]
+        return {name: values[key] for name, values in self.whole.items()}
+
+    def __iter__(self) -> Iterator[Batch]:
+        """Yield the windows."""
+        return (self[number] for number in range(len(self)))
+
+    def keys(self) -> KeysView[str]:
+        """Return the names of the batch's entries."""
+        return self.whole.keys()
 
 
 class Feed(Protocol):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from candata.datasets import Dataset
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.loaders.feed import Windows, thin_cloud
-from candata.loaders.gather import Batch, Gather, Stores, host_index
+from candata.loaders.gather import Batch, Gather, Stores, WindowList, host_index
 from candata.loaders.layout import row_shapes
 from candata.loaders.normaliser import SAMPLE, Normaliser, Sample, fit_normaliser
 from candata.loaders.resident import move
@@ -40,6 +40,10 @@ class MixedWindows:
     mixture: Mixture
     sources: tuple[Windows, ...]
 
+    def __repr__(self) -> str:
+        """Return number and sources in one line."""
+        return f"MixedWindows({len(self):,} windows of {', '.join(map(repr, self.sources))})"
+
     def __len__(self) -> int:
         """Return the number of windows."""
         return sum(map(len, self.sources))
@@ -48,9 +52,9 @@ class MixedWindows:
         """Return one window: a batch without the first axis."""
         return {name: values[0] for name, values in self.batch([number]).items()}
 
-    def __getitems__(self, numbers: Sequence[int]) -> Batch:
-        """Return the batch of these windows: what a DataLoader asks for."""
-        return self.batch(numbers)
+    def __getitems__(self, numbers: Sequence[int]) -> WindowList:
+        """Return these windows, gathered at once: what a DataLoader asks for."""
+        return WindowList(self.batch(numbers))
 
     def batch(self, numbers: ArrayLike) -> Batch:
         """Return the windows with these numbers, in their order; see `Windows.batch`.

@@ -1,26 +1,30 @@
-"""The page of a dataset: channels, distributions, contact, a few episodes whole, lineage."""
+"""The page of a dataset: channels, contact, all episodes in a list and to play, distributions, lineage."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
 
 from candata.datasets.elements import JOINT_UNITS
 from candata.datasets.summary import ChannelSummary, Summary
-from candata.datasets.survey import ExampleEpisode, Survey
+from candata.datasets.survey import EpisodeFacts, Survey
 from candata.reports import space, traces
 from candata.reports.distributions import distributions
 from candata.reports.document import render_page
 from candata.reports.joint_units import joint_units, readable_unit
 from candata.reports.numbers import digits, percent
+from candata.reports.playback import Playbacks, facts_text
 from candata.schema.channels import CHANNELS
+from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
 DASH = "\N{EN DASH}"
 #: Names listed of what a dataset counts (scenes, objects, tasks), the most frequent first.
 MOST_NAMES = 8
+#: Episodes listed; of more the first by id are.
+MOST_LISTED = 10_000
 #: Steps listed of a lineage, the last ones.
 MOST_STEPS = 20
 #: Class and name of what the drawing of a path shows.
@@ -37,7 +41,6 @@ PATH_KEY = (
 class EpisodeFigures:
     """What the page shows of an episode: its figures, empty where it has no channel for them, and what it lacks."""
 
-    episode: str
     facts: str
     path: Markup
     contact: Markup
@@ -46,24 +49,36 @@ class EpisodeFigures:
     absent: tuple[str, ...]
 
 
-def page(survey: Survey, episode: str | None = None) -> str:
+@dataclass(frozen=True)
+class ListedEpisode:
+    """A row of the list: its number, its cells as text with the number that they are sorted by, and what opens it."""
+
+    number: int
+    cells: tuple[tuple[str, float | None], ...]
+    is_playable: bool
+
+
+def page(survey: Survey, playbacks: Playbacks, episode: Episode | None = None) -> str:
     """Return the page as text.
 
     Parameters
     ----------
     survey : Survey
         Of the dataset, or of the one episode.
-    episode : str, optional
-        Id of the one episode that the page is about.
+    playbacks : Playbacks
+        The same episodes, to play.
+    episode : Episode, optional
+        The one episode that the page is about.
     """
     summary = survey.summary
     units = units_of(summary.scenes)
-    title = episode or summary.name
+    title = summary.name if episode is None else episode.meta.id
+    names, rows = _episode_list(survey.episodes[:MOST_LISTED], playbacks)
     return render_page(
         "inspection",
         title=title,
         tone="none",
-        kicker=_kicker(summary, episode),
+        kicker=_kicker(summary, episode is not None),
         meaning=_meaning(summary),
         answers=_answers(summary),
         channels=[_channel_row(channel, units) for channel in summary.channels],
@@ -72,9 +87,18 @@ def page(survey: Survey, episode: str | None = None) -> str:
         phases=summary.phases or {},
         phase_key=traces.phase_key(False),
         fingertips=summary.fingertip_contact_shares or {"any": summary.contact_share},
-        is_one_episode=episode is not None,
-        episodes=[_episode_figures(survey_entry) for survey_entry in survey.examples[: 1 if episode else None]],
+        figures=None if episode is None else _episode_figures(episode),
         path_key=PATH_KEY,
+        columns=names,
+        listed=rows,
+        unlisted_count=len(survey.episodes) - len(rows),
+        unplayable_count=len(survey.episodes) - len(playbacks.episodes),
+        geometries=[(name, Markup(text)) for name, text in playbacks.geometries.items()],
+        playbacks=[
+            (number, Markup(playbacks.episodes[facts.id]))
+            for number, facts in enumerate(survey.episodes)
+            if facts.id in playbacks.episodes
+        ],
         scope="this episode" if episode or summary.episodes == 1 else f"all {summary.episodes:,} episodes",
         distributions=distributions(survey.distributions, units),
         sets_left_out=survey.sets_left_out,
@@ -104,10 +128,10 @@ def _lineage_rows(steps: tuple[Lineage, ...]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _kicker(summary: Summary, episode: str | None) -> str:
+def _kicker(summary: Summary, is_one_episode: bool) -> str:
     """Return the version that the page is about."""
     version = f"{summary.name}@{summary.digest[:12]}, version {summary.version} of {summary.versions}"
-    return f"One episode of {version}" if episode else f"Dataset {version}"
+    return f"One episode of {version}" if is_one_episode else f"Dataset {version}"
 
 
 def _meaning(summary: Summary) -> str:
@@ -188,27 +212,32 @@ def _outcome_rows(by_task: Mapping[str, Mapping[str, int]]) -> list[tuple[str, .
     ]
 
 
-def _episode_figures(survey_entry: ExampleEpisode) -> EpisodeFigures:
+def _episode_list(episodes: Sequence[EpisodeFacts], playbacks: Playbacks) -> tuple[list[str], list[ListedEpisode]]:
+    """Return heads and rows of the list of episodes; labels that no episode has are left out."""
+    labels = [
+        name for name in ("source", "scene", "object", "task", "outcome") if any(getattr(e, name) for e in episodes)
+    ]
+    rows = []
+    for number, facts in enumerate(episodes):
+        cells: list[tuple[str, float | None]] = [(facts.id, None)]
+        cells += [(getattr(facts, name) or DASH, None) for name in labels]
+        cells += [(f"{facts.rows:,}", facts.rows), (digits(facts.duration_s), facts.duration_s)]
+        contact = DASH if facts.contact_share is None else percent(facts.contact_share)
+        cells += [(contact, facts.contact_share or 0.0), (percent(facts.invalid_share), facts.invalid_share)]
+        rows.append(ListedEpisode(number, tuple(cells), facts.id in playbacks.episodes))
+    return ["episode", *labels, "rows", "seconds", "in contact", "invalid rows"], rows
+
+
+def _episode_figures(episode: Episode) -> EpisodeFigures:
     """Return the figures of one episode, and what it has no channel for."""
-    episode = survey_entry.episode
     path, contact, forces = space.path(episode), traces.timeline(episode), traces.forces(episode)
     joints = traces.joints(episode, joint_units(episode.meta.scene))
     figures = {"valid pose of an object": path, "contact": contact, "forces": forces, "joints": joints}
     return EpisodeFigures(
-        episode=episode.meta.id,
-        facts=_facts(survey_entry),
+        facts=facts_text(episode),
         path=path,
         contact=contact,
         forces=forces,
         joints=joints,
         absent=tuple(name for name, figure in figures.items() if not figure),
     )
-
-
-def _facts(survey_entry: ExampleEpisode) -> str:
-    """Return what an episode is, in one line."""
-    episode, meta = survey_entry.episode, survey_entry.episode.meta
-    seed = f"seed {meta.seed}" if meta.seed is not None else None
-    attributes = ", ".join(filter(None, [meta.source, meta.task, meta.object, seed, meta.outcome]))
-    length = f"{len(episode):,} {_noun(len(episode), 'row')} in {digits(float(episode.time_s[-1]))} s"
-    return f"{survey_entry.reason[0].upper()}{survey_entry.reason[1:]}; {length}; {attributes}."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from candata.scenes import load_scene
+from candata.scenes import Scene, load_scene
 from candata.scenes.contract import SCENES
 from candata.scenes.roles import roles
 
@@ -20,7 +20,12 @@ def joint_units(scene: str | None) -> Mapping[str, str]:
     """Return joint or actuator name to `rad` or `m`; empty for a scene that is not built in."""
     if scene is None or scene not in SCENES:
         return {}
-    joints = roles(load_scene(scene)).joints
+    return units_in(load_scene(scene))
+
+
+def units_in(scene: Scene) -> Mapping[str, str]:
+    """Return joint or actuator name to `rad` or `m`, as the scene has them."""
+    joints = roles(scene).joints
     return {joint.name: joint.unit for joint in joints} | {j.actuator: j.unit for j in joints if j.actuator}
 
 

@@ -68,11 +68,16 @@ class ScenePoser:
     missing_joints: tuple[str, ...]
     unknown_joints: tuple[str, ...]
 
+    @property
+    def tip_count(self) -> int:
+        """Number of the scene's fingertips."""
+        return len(self.scene.file.fingertips)
+
     def chunks(self, episode: Episode) -> Iterator[PosedRows]:
         """Yield the posed rows of an episode, a few thousand at a time."""
         rows = self.valid_rows(episode)
         for start in range(0, len(rows), ROWS):
-            yield self._pose(episode, rows[start : start + ROWS])
+            yield self.pose(episode, rows[start : start + ROWS])
 
     def valid_rows(self, episode: Episode) -> NDArray[np.int64]:
         """Return the rows in which joints and object are valid, as far as the episode has them."""
@@ -81,12 +86,12 @@ class ScenePoser:
             valid &= episode.valid(channel)
         return np.flatnonzero(valid)
 
-    def _pose(self, episode: Episode, rows: NDArray[np.int64]) -> PosedRows:
-        """Return some rows, posed."""
+    def pose(self, episode: Episode, rows: NDArray[np.int64]) -> PosedRows:
+        """Return some of the valid rows, posed."""
         model, bodies = self.scene.model, list(self.bodies)
         data, qpos = mujoco.MjData(model), self.qpos(episode, rows)
         position, quaternion = np.empty((len(rows), len(bodies), 3)), np.empty((len(rows), len(bodies), 4))
-        count = len(self.scene.file.fingertips)
+        count = self.tip_count
         tip, frame = np.empty((len(rows), count, 3)), np.empty((len(rows), count, 3, 3))
         for k, values in enumerate(qpos):
             data.qpos[:] = values

@@ -83,9 +83,15 @@ def _poser(episode: Episode, scene: str | None) -> ScenePoser | None:
     return None if name is None else poser(load_scene(name), episode)
 
 
+def has_display() -> bool:
+    """Tell whether there is a display to open a window on."""
+    is_linux = sys.platform.startswith("linux")
+    return not is_linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def _need_display() -> None:
     """Refuse to open a window where there is nowhere to open it."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not has_display():
         raise SetupError(
             "there is no display to open a window on", fix="write a file: --out episode.rrd; open it with `rerun` there"
         )

@@ -141,9 +141,14 @@ def measure_rows(report: Report) -> list[tuple[str, ...]]:
     """Return the plain measures, one a row."""
     columns = measure_columns(report)
     return [
-        (words.readable_name(name), *(digits(row[column]) if column in row else "" for column in columns))
+        (words.readable_name(name), *(_measured(row[column]) if column in row else "" for column in columns))
         for name, row in report.measures.items()
     ]
+
+
+def _measured(value: float | None) -> str:
+    """Return a measure, or a question mark where nothing could be measured."""
+    return "?" if value is None else digits(value)
 
 
 def verdict_rows() -> list[tuple[str, str]]:

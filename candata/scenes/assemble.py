@@ -21,7 +21,9 @@ from candata.scenes.named_files import kind_of
 from candata.scenes.object_change import replace_object
 from candata.scenes.object_folder import named_object
 from candata.scenes.role_check import check_recorded, check_roles
+from candata.scenes.step_check import check_commands, check_rate
 from candata.schema.effect import EffectSetting
+from candata.schema.html_text import summary_table
 from candata.schema.scene import ArmWithHand, SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
@@ -29,10 +31,6 @@ from candata.schema.yaml_text import read_yaml
 _MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
 #: Stands between a scene and the object that takes the place of its own.
 OBJECT_MARK = "+"
-#: Physics step of a model that names none [s] (MuJoCo XML reference, option/timestep).
-USUAL_STEP_S = 0.002
-#: Physics steps a control step. Measured: this many of `cube_toss`, the lightest scene, take half a second.
-MOST_SUBSTEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +68,25 @@ class Scene:
     has_other_object: bool = False
     spec: mujoco.MjSpec | None = field(default=None, repr=False)
     unlabelled: Scene | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        """Return name, size and rate in one line."""
+        counts = ", ".join(f"{len(members)} {role}" for role, members in self._members().items())
+        return f"Scene({self.name!r}, {counts}, object {self.file.object!r}, {self.file.rate_hz:g} Hz)"
+
+    def _repr_html_(self) -> str:
+        """Return the roles as a table: what a notebook shows."""
+        rows = [(role, len(members), ", ".join(members)) for role, members in self._members().items()]
+        rows += [
+            (role, 1, name) for role, name in (("object", self.file.object), ("support", self.file.support)) if name
+        ]
+        step = f"{self.file.rate_hz:g} Hz, {self.substeps} physics steps of {1e3 * self.model.opt.timestep:g} ms each"
+        return summary_table(f"Scene {self.name}", step, ("role", "count", "names"), rows)
+
+    def _members(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of each role that has several."""
+        file = self.file
+        return {"joints": file.joints, "actuators": file.actuator_names, "fingertips": file.fingertips}
 
     @property
     def substeps(self) -> int:
@@ -348,47 +365,9 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         sensors.add_force(spec, file, index, tip)
     model = compile_model(spec, name)
     check_recorded(name, file, spec)
-    _check_rate(name, file, model)
-    _check_commands(name, model)
+    check_rate(name, file, model)
+    check_commands(name, model)
     return Scene(name, file, model, policies, spec=spec)
-
-
-def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
-    """Refuse a physics step that does not fit into the control step."""
-    if not 0 < model.opt.timestep < np.inf:
-        raise SceneError(
-            f"scene {name}: the physics step is no time",
-            expected="<option timestep> above 0 s",
-            found=f"{model.opt.timestep:g} s",
-            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(1 / file.rate_hz / USUAL_STEP_S)):.9g}"/>',
-        )
-    steps = 1 / file.rate_hz / model.opt.timestep
-    if steps > MOST_SUBSTEPS:
-        raise SceneError(
-            f"scene {name}: the physics step is too short to simulate",
-            expected=f"at most {MOST_SUBSTEPS:,} physics steps a control step of {1 / file.rate_hz:g} s",
-            found=f"{steps:,.0f} of {model.opt.timestep:g} s",
-            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(1 / file.rate_hz / USUAL_STEP_S)):.9g}"/>',
-        )
-    if steps < 0.99 or abs(steps - round(steps)) > 0.02:
-        raise SceneError(
-            f"scene {name}: the physics step does not divide the control step",
-            expected=f"timestep = 1 / ({file.rate_hz:g} x n) s",
-            found=f"{model.opt.timestep:g} s ({steps:.2f} a step)",
-            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(steps)):.9g}"/>',
-        )
-
-
-def _check_commands(name: str, model: mujoco.MjModel) -> None:
-    """Refuse an actuator that takes more than one number a step: a column of `action` is one number."""
-    actuator_ids = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] != 1]
-    if actuator_ids:
-        raise SceneError(
-            f"scene {name}: actuator {model.actuator(actuator_ids[0]).name} takes several numbers at once",
-            expected="actuators of one command each",
-            found=f"{model.actuator_ctrlnum[actuator_ids[0]]} numbers",
-            fix="use <position>, <velocity>, <motor> or <general> on each joint in its place",
-        )
 
 
 def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:

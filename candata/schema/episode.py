@@ -15,6 +15,7 @@ from candata.errors import DataError, Where
 from candata.schema.channels import CHANNELS, QUATERNION, VALID_SUFFIX, canonical_order
 from candata.schema.disturbance import Kick
 from candata.schema.effect import EffectSetting
+from candata.schema.html_text import summary_table
 from candata.schema.record import Record
 
 #: Largest distance of a quaternion's norm from 1; float32 rounding and trackers stay below 1e-3.
@@ -124,6 +125,31 @@ class Episode:
             cast[name] = np.array(self.arrays[name], dtype=dtype, order="C")
             cast[name].flags.writeable = False
         object.__setattr__(self, "arrays", MappingProxyType(cast))
+
+    def __repr__(self) -> str:
+        """Return id, length and channels in one line."""
+        return f"Episode({self.meta.id!r}, {self._length()}, {', '.join(self._channels())})"
+
+    def _repr_html_(self) -> str:
+        """Return the channels as a table: what a notebook shows."""
+        meta = self.meta
+        labels = (meta.source, meta.scene, meta.object, meta.task, meta.outcome)
+        facts = ", ".join([*filter(None, labels), self._length()])
+        columns = ("channel", "shape", "unit", "invalid rows", "meaning")
+        return summary_table(f"Episode {meta.id}", facts, columns, map(self._row, self._channels()))
+
+    def _row(self, name: str) -> tuple[object, ...]:
+        """Return the row of a channel: name, shape, unit, invalid rows, meaning."""
+        channel = CHANNELS[name]
+        return name, self.arrays[name].shape, channel.unit, int((~self.valid(name)).sum()), channel.meaning
+
+    def _length(self) -> str:
+        """Return rows, duration and rate."""
+        return f"{len(self):,} rows in {self.time_s[-1]:.3g} s at {self.meta.rate_hz:g} Hz"
+
+    def _channels(self) -> list[str]:
+        """Return the names of the channels, without the flags of their validity."""
+        return [name for name in self.arrays if not name.endswith(VALID_SUFFIX)]
 
     def __len__(self) -> int:
         """Return the number of rows T."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from candata.schema.effect import EffectSetting, Value
+from candata.schema.html_text import summary_table
 from candata.schema.record import ResultRecord
 
 Verdict = Literal[
@@ -225,6 +227,7 @@ class DiagnosisData(ResultRecord):
 class Report(ResultRecord):
     """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms.
 
+    `measures` holds null where nothing could be measured.
     `given_effects` belong to the nominal simulator: gap and effects are what comes on top of them.
     """
 
@@ -245,5 +248,55 @@ class Report(ResultRecord):
     calibration: Calibration | None = None
     given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData
-    measures: dict[str, dict[str, float]] = {}
+    measures: Mapping[str, Mapping[str, float | None]] = {}
     provenance: dict[str, str] = {}
+
+    def __repr__(self) -> str:
+        """Return verdict, named effects and gap in one line."""
+        names = ", ".join(
+            effect.name if effect.element is None else f"{effect.name} on {effect.element}" for effect in self.effects
+        )
+        parts = [self.verdict, names, self._gap_text(), self.data.dataset]
+        return f"Report({', '.join(filter(None, parts))})"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Return verdict, gap and the named effects as a table: what a notebook shows."""
+        columns = ("effect", "on", "parameter", "value", "90 % interval", "share of the gap")
+        rows = [
+            (
+                effect.name,
+                effect.element or "all",
+                name,
+                _number(estimate.value),
+                _interval(estimate),
+                f"{effect.share:.0%}",
+            )
+            for effect in self.effects
+            for name, estimate in effect.parameters.items()
+        ]
+        facts = ", ".join(
+            filter(None, [self._gap_text(), f"{self.data.episodes.total} episodes of {self.data.dataset}"])
+        )
+        return summary_table(f"Diagnosis: {self.verdict}", facts, columns, rows)
+
+    def _gap_text(self) -> str:
+        """Return how far the gap shrinks, in noise floors; empty where it was not measured."""
+        return "" if self.gap is None else f"gap {self.gap.before:.2f} to {self.gap.after:.2f} noise floors"
+
+
+def _number(value: IntervalEnd | Value) -> str:
+    """Return a value to three digits, the numbers of a vector in brackets."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_number, value))}]"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _interval(estimate: Estimate) -> str:
+    """Return the ends of an interval that are known; empty without any."""
+    if estimate.bounded == "both":
+        return f"{_number(estimate.low)} to {_number(estimate.high)}"
+    if estimate.bounded == "low":
+        return f"at least {_number(estimate.low)}"
+    return f"at most {_number(estimate.high)}" if estimate.bounded == "high" else ""

@@ -20,6 +20,7 @@ LAYERS = (
     ("datasets",),
     ("formats",),
     ("fetch",),
+    ("hub",),
     ("scenes",),
     ("effects",),
     ("policies",),
@@ -34,6 +35,7 @@ LAYERS = (
     ("experiment",),
     ("policy_evaluation",),
     ("reports",),
+    ("plot",),
     ("testing",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}

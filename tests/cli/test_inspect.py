@@ -167,3 +167,10 @@ def test_two_labels_of_contact_are_compared(tmp_path, episode):
     assert "collision: a 0.0%, b 50.0%" in lines
     assert "collision differs from contact: a 0.0%, b 50.0%" in lines
     assert json.loads(run("inspect", root, "--json").stdout)["label_disagreements"] == {"a": 0.0, "b": 0.5}
+
+
+def test_a_scene_is_for_the_page_and_must_fit(root, tmp_path):
+    assert isinstance(run("inspect", root, "--scene", "gripper_tabletop").exception, UsageError)
+    error = run("inspect", root, "--scene", "gripper_tabletop", "--html", tmp_path / "p.html").exception
+    assert "the episode's joints are not those of the scene" in str(error)
+    assert not (tmp_path / "p.html").exists()

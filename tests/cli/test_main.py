@@ -203,11 +203,12 @@ def test_help_reads_the_options_of_no_command_and_a_command_reads_its_own(capsys
     monkeypatch.setattr(
         typer.main, "get_params_from_function", lambda func: read.append(func.__name__) or options(func)
     )
+    of_all = {"install_callback", "show_callback", "_root"}  # completion and --version
     assert exit_code("--help") == 0
-    assert {name for name in read if not name.startswith("_")} == set()
+    assert {name for name in read if not name.startswith("_")} <= of_all
     read.clear()
     assert exit_code("gap", "bench", "--help") == 0
-    assert {name for name in read if not name.startswith("_")} == {"bench"}
+    assert {name for name in read if not name.startswith("_")} - of_all == {"bench"}
     assert "--counts" in capsys.readouterr().out
 
 

@@ -41,6 +41,19 @@ def test_the_first_episode_is_the_default(root, tmp_path):
 
 
 @needs_rerun
+def test_without_a_display_the_file_is_called_as_the_episode(tmp_path, episode, monkeypatch):
+    root = create_dataset(tmp_path / "odd")
+    append(root, [episode("../a b")], Lineage(operation="test"))
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    result = run("view", root)
+    assert result.exit_code == 0
+    assert "there is no display" in result.stderr
+    assert (tmp_path / "_._a_b.rrd").is_file()
+
+
+@needs_rerun
 @pytest.mark.parametrize(
     ("options", "error"), [(["--episode", "c"], UnknownNameError), (["--scene", "no"], UsageError)]
 )

@@ -19,20 +19,20 @@ def made(tmp_path):
     return make
 
 
-def test_the_episodes_shown_follow_the_rule(made, episode):
-    found = survey(made(episode("a", rows=20), episode("b", rows=60, contact=False), episode("c", rows=21)))
-    assert [(one.episode.meta.id, one.reason) for one in found.examples] == [
-        ("a", "the first"),
-        ("b", "the longest"),
-        ("c", "the most contact"),
+def test_each_episode_has_a_line_and_is_shown_to_who_watches(made, episode):
+    base = episode("c", rows=20)
+    valid = {"joint_position_valid": np.arange(20) != 3, "object_pose_valid": np.arange(20) != 4}
+    watched = []
+    found = survey(
+        made(episode("a", rows=40), episode("b", contact=False), type(base)(base.meta, {**base.arrays, **valid})),
+        watch=watched.append,
+    )
+    assert [(e.id, e.rows, e.contact_share, e.invalid_share) for e in found.episodes] == [
+        ("a", 40, 0.5, 0.0),
+        ("b", 20, None, 0.0),
+        ("c", 20, 0.5, 0.1),
     ]
-
-
-def test_one_episode_may_be_all_of_them(made, episode):
-    found = survey(made(episode("a", rows=30), episode("b", rows=20, contact=False)))
-    assert [(one.episode.meta.id, one.reason) for one in found.examples] == [
-        ("a", "the first and the longest and the most contact")
-    ]
+    assert [e.meta.id for e in watched] == ["a", "b", "c"]
 
 
 def test_distributions_hold_valid_values_of_all_episodes(made, episode):

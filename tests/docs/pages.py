@@ -15,8 +15,9 @@ from candata_cli.main import build
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
-PAGES = sorted((ROOT / "docs").glob("*.md"))
 DECISIONS = sorted((ROOT / "docs/decisions").glob("*.md"))
+PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if path not in DECISIONS)
+NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES, *DECISIONS, *ROOT.glob("examples/**/*.md")])
 #: What describes candata as it is; a changelog may name what is gone.
 PRESENT = [path for path in DOCUMENTS if path.name != "CHANGELOG.md"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -34,18 +33,6 @@ def parameters(records: bool) -> list[pytest.param]:
         for (path, name), blocks in pages.examples().items()
         if (name in RECORDS) == records
     ]
-
-
-@pytest.fixture
-def shell(tmp_path):
-    """An environment whose `candata` is this checkout's."""
-    script = tmp_path / "bin" / "candata"
-    script.parent.mkdir()
-    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m candata_cli.main "$@"\n')
-    script.chmod(0o755)
-    path = f"{script.parent}{os.pathsep}{os.environ['PATH']}"
-    registry = str(tmp_path / "registry.json")
-    return {**os.environ, "PATH": path, "PYTHONPATH": str(pages.ROOT), "CANDATA_REGISTRY": registry}
 
 
 def play(block: pages.Block, work: Path, shell: dict[str, str]) -> None:

@@ -291,3 +291,9 @@ def test_every_element_that_is_offered_can_be_given(gripper, name):
     readings = play_grip(gripper, worlds).readings
     for row in range(1, len(worlds)):
         assert any(not np.array_equal(v[row], v[0]) for v in readings.values()), worlds[row]
+
+
+def test_an_effect_is_one_line():
+    assert repr(effect("joint_damping")) == (
+        "Effect('viscous damping is added to the joints', damping_Nms_rad [N m s/rad])"
+    )

@@ -25,6 +25,21 @@ def test_a_dataloader_gives_every_window_once(hand, store):
     assert met == [(0, r) for r in range(46)] + [(1, r) for r in range(36)]
 
 
+def test_a_plain_dataloader_gives_the_same_batches(mixed):
+    pytest.importorskip("torch")
+    sampler = mixed.sampler(16, seed=2)
+    plain = loaded(mixed, sampler, collate_fn=None)
+    assert len(plain) == 6
+    for step, batch in enumerate(plain, 3):
+        equal(batch, mixed.batch(sampler.indices(step)))
+
+
+def test_windows_are_one_line(mixed):
+    feed = mixed.sources[1]
+    assert repr(feed) == f"Windows('other', {len(feed)} windows, 3 rows of history, 2 steps ahead at 40 Hz)"
+    assert repr(feed) in repr(mixed)
+
+
 def test_tensors_hold_what_the_batch_holds(hand, store):
     pytest.importorskip("torch")
     feed = windows(store(hand("a", 50)), 3, 2, stride=2)

@@ -10,6 +10,7 @@ from candata.datasets import append, create_dataset, open_dataset
 from candata.datasets.compare import compare
 from candata.datasets.survey import survey
 from candata.reports import comparison, inspection, page, validation
+from candata.reports.playback import Playbacks
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 
@@ -53,9 +54,10 @@ def test_a_click_on_the_heat_map_shows_the_elements_episodes(
 
 
 def make_dataset(path, seed):
-    rng, rows, episodes = np.random.default_rng(seed), 80, []
+    rng, episodes = np.random.default_rng(seed), []
     names = tuple(f"a_joint_with_quite_a_long_name_{i}" for i in range(5))
     for k in range(6):
+        rows = 80 - k
         walk = np.cumsum(rng.normal(size=(rows, 3)), axis=0) * 0.01
         arrays = {
             "time_ns": np.arange(rows) * 12_500_000,
@@ -71,9 +73,56 @@ def make_dataset(path, seed):
     return open_dataset(path)
 
 
+#: Searches, sorts, opens an episode, moves its time and turns the view, and tells what changed.
+PLAY = """() => {
+  const rows = () => [...document.querySelectorAll(".episodes tbody tr")]
+    .filter(row => !row.hidden).map(row => row.cells[0].innerText);
+  const ink = canvas => canvas.toDataURL().length > 3000 ? canvas.toDataURL() : "";
+  const search = document.querySelector(".search"), stage = document.querySelector(".stage");
+  const type = text => { search.value = text; search.dispatchEvent(new Event("input")); return rows(); };
+  const found = type("E3"), all = type("");
+  document.querySelectorAll(".episodes th button")[2].click();
+  const sorted = rows();
+  document.querySelector('[data-open="4"]').click();
+  const name = document.querySelector(".player-name").textContent, start = ink(stage);
+  const lane = document.querySelector(".lane canvas"), slider = document.querySelector(".scrub input");
+  const before = ink(lane);
+  slider.value = slider.max / 2;
+  slider.dispatchEvent(new Event("input"));
+  const later = ink(stage);
+  const at = (name, x, y) => stage.dispatchEvent(new PointerEvent(name, { clientX: x, clientY: y, pointerId: 1 }));
+  stage.setPointerCapture = () => {};
+  at("pointerdown", 50, 50); at("pointermove", 90, 60); at("pointerup", 90, 60);
+  return { found, all: all.length, sorted, name, clock: document.querySelector(".scrub output").textContent,
+    drawn: start !== "" && before !== "", moved: start !== later && before !== ink(lane), turned: later !== ink(stage),
+    lanes: document.querySelectorAll(".lane").length };
+}"""
+
+
 @WIDTHS
-def test_the_page_of_a_dataset_fits_and_its_path_turns(browse, tmp_path, width):
-    observed = browse(inspection.page(survey(make_dataset(tmp_path / "one", 1))), DRAG, width)
+def test_the_page_of_a_dataset_searches_sorts_and_plays(browse, tmp_path, width):
+    data = make_dataset(tmp_path / "one", 1)
+    playbacks = Playbacks(data)
+    observed = browse(inspection.page(survey(data, watch=playbacks.add), playbacks), PLAY, width)
+    assert observed == {
+        "found": ["e3"],
+        "all": 6,
+        "sorted": [f"e{k}" for k in (5, 4, 3, 2, 1, 0)],
+        "name": "e4",
+        "clock": "0.47 s",
+        "drawn": True,
+        "moved": True,
+        "turned": True,
+        "lanes": 5,
+    }
+
+
+@WIDTHS
+def test_the_page_of_an_episode_fits_and_its_path_turns(browse, tmp_path, width):
+    data = make_dataset(tmp_path / "one", 1)
+    playbacks = Playbacks(data)
+    found = survey(data, ids=["e0"], watch=playbacks.add)
+    observed = browse(inspection.page(found, playbacks, data["e0"]), DRAG, width)
     assert observed.pop("charts") > 5
     assert observed == {"turned": True, "apart": True}
 

@@ -154,3 +154,13 @@ def test_a_scene_without_an_object_has_no_cloud(tmp_path):
     (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\njoints: [bend]\n")
     with pytest.raises(SceneError, match="has no object"):
         surface_cloud(load_scene(tmp_path / "scene.yaml"))
+
+
+def test_a_scene_is_one_line_and_a_table_of_roles():
+    scene = load_scene("gripper_tabletop")
+    joints, tips = scene.file.joints, scene.file.fingertips
+    assert repr(scene).startswith(f"Scene('gripper_tabletop', {len(joints)} joints, ")
+    assert "\n" not in repr(scene)
+    html = scene._repr_html_()
+    assert ", ".join(joints) in html
+    assert ", ".join(tips) in html
