@@ -250,10 +250,13 @@ def _moved(problem: Problem, members: Members) -> Ranked:
 def _kept(ranked: Sequence[Ranked], size: int, most: int, far: float) -> list[Ranked]:
     """Return the sets of a rung that go on, of those that leave less than `far`: some larger than `size`, some not.
 
-    Each number of names has an equal part of the places of the larger ones.
+    Each number of names has an equal part of the places: a set without an idle name leaves hardly more than with it,
+    and would else have none.
     """
-    near = [pair for pair in ranked if pair[0] < far]
-    larger = sorted((pair for pair in near if len(pair[1]) > size), key=lambda pair: len(pair[1]))
-    groups = [list(pairs) for _, pairs in groupby(larger, key=lambda pair: len(pair[1]))]
-    some = [pair for group in groups for pair in group[: max(most // len(groups), 1)]]
-    return [*some, *[pair for pair in near if len(pair[1]) <= size][:most]]
+    near = sorted((pair for pair in ranked if pair[0] < far), key=lambda pair: len(pair[1]))
+    kept: list[Ranked] = []
+    for is_larger in (True, False):
+        some = [pair for pair in near if (len(pair[1]) > size) is is_larger]
+        groups = [list(pairs) for _, pairs in groupby(some, key=lambda pair: len(pair[1]))]
+        kept += [pair for group in groups for pair in group[: max(most // len(groups), 1)]]
+    return kept

@@ -10,15 +10,18 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import Diagnosis, diagnose
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.floor import Floor
 from candata.gap.recordings import Recordings, recordings
+from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.residuals import Layout
 from candata.gap.score import Score, score
-from candata.gap.search import Members, Problem
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.stage import as_simulated, look
 from candata.gap.streams import Streams
+from candata.gap.together import Responses
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
@@ -223,3 +226,37 @@ def two_causes(arm, arm_episodes, planted) -> tuple[Problem, np.ndarray]:
 def members(arm: Scene, **values: float) -> Members:
     """Scalar effects at their values, as the members of a set."""
     return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+
+
+#: Effects that tests of the search leave to it, so that they are quick.
+SEARCHED = frozenset(
+    (
+        *("joint_dry_friction", "joint_damping", "armature", "actuation_delay", "servo_damping", "servo_gain"),
+        *("joint_offset", "time_step"),
+    )
+)
+
+
+@pytest.fixture(scope="session")
+def arm_search(arm, arm_episodes) -> Callable[..., tuple[Problem, Responses]]:
+    """The function that poses the problem of an arm with effects to a search, and looks at each of `SEARCHED` alone."""
+
+    posed: dict[str, tuple[Problem, Responses]] = {}
+
+    def pose(*effects: EffectSetting) -> tuple[Problem, Responses]:
+        if repr(effects) not in posed:
+            posed[repr(effects)] = make(effects)
+        return posed[repr(effects)]
+
+    def make(effects: Sequence[EffectSetting]) -> tuple[Problem, Responses]:
+        problem = step_problem(arm, recordings(arm, arm_episodes(effects, count=12, rows=120)))
+        others = {c.name for c in candidates(arm, problem.recs.channels)} - SEARCHED
+        problem = replace(problem, ruled_out=problem.ruled_out | others)
+        return problem, as_simulated(problem, look(problem, problem.nominal, ()))
+
+    return pose
+
+
+def fitted(problem: Problem, some: Members) -> Fit:
+    """A set fitted where it begins, by slopes from signatures alone."""
+    return joint(problem, some, problem.score.loss(problem.nominal), widths=())

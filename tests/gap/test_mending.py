@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import mending, sets
+from candata.gap import mending
 from candata.gap.attribute import attribute
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
@@ -86,22 +86,6 @@ def test_a_correction_of_what_fingertips_read_is_no_cause_by_itself(cogs, named,
     force = SimpleNamespace(best=SimpleNamespace(closed=0.99, suspects=[SimpleNamespace(place=place)]))
     monkeypatch.setattr(mending, "mended", lambda *a: force)
     assert bool(Doubt(LoneForce(cogs)).of(cogs, named.plane.z)) is stands
-
-
-def test_growth_ends_where_it_stands_before_effects_are_simulated_beside_what_is_found(cogs, named, monkeypatch):
-    monkeypatch.setattr(sets, "looked_into", lambda *a: pytest.fail("effects are simulated"))
-    monkeypatch.setattr(sets, "BELIEVED", np.inf)
-    (found, _, remains), force = sets.forward(cogs, named, (), doubt=Doubt(LoneForce(cogs)))
-    assert force.best.suspects[0].element == "elbow"
-    assert remains
-    assert found.labels == named.labels
-
-
-def test_of_a_full_set_that_leaves_much_it_is_asked_before_all_effects_are_fitted(cogs, named, monkeypatch):
-    monkeypatch.setattr(sets, "is_full", lambda *a: True)
-    monkeypatch.setattr(sets, "jointly", lambda *a: pytest.fail("all effects are fitted"))
-    _, force = sets.forward(cogs, named, (), doubt=Doubt(LoneForce(cogs)))
-    assert force.best.suspects[0].element == "elbow"
 
 
 def test_a_search_that_it_ends_says_which_force_and_names_no_more(cogs):

@@ -10,17 +10,15 @@ import numpy as np
 import pytest
 
 from candata.gap import refine
-from candata.gap.added import here_of
 from candata.gap.candidates import Candidate, candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.floor import perturbed
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
-from candata.gap.response import Curve, Plane
+from candata.gap.response import Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, fit_one
-from candata.gap.shortlist import brief
 from candata.gap.streams import Streams
 
 
@@ -143,9 +141,9 @@ def test_where_a_scalar_was_simulated_it_is_read_and_not_simulated_again(problem
     there = found.curve.at[found.curve.sure][-1:]
     simulated = problem.residuals([problem.setting([(c, there)])])[0]
     rollouts.clear()
-    assert np.allclose(here_of(problem, replace(found, members=((c, there),))), simulated, atol=1e-4)
+    assert np.allclose(problem.where(replace(found, members=((c, there),))), simulated, atol=1e-4)
     assert rollouts == []
-    here_of(problem, replace(found, members=((c, there + 0.001),)))
+    problem.where(replace(found, members=((c, there + 0.001),)))
     assert rollouts == [("joint_dry_friction",)]
 
 
@@ -303,37 +301,3 @@ def test_slopes_are_read_inside_the_bounds(pair, at):
     seen, slope = asked(valley, members, partial(refine.divided, members), valley.slope)
     assert all((np.abs(u) <= 9.0).all() for u in seen)
     assert slope == pytest.approx(valley.slope, abs=1e-4)
-
-
-def far_off(problem, name, *values):
-    """The fit of a scalar that was simulated at some values alone, and the base loss."""
-    c = candidate(name, problem.replayer.scene)
-    at = [np.array([v]) for v in (float(c.neutral[0]), *values)]
-    zs = np.stack(problem.residuals([problem.setting([(c, u)]) for u in at]))
-    base = problem.score.loss(problem.nominal)
-    curve = Curve(c, np.concatenate(at), zs, np.ones(len(at), bool))
-    return fit_one(problem, c, curve, base), base
-
-
-def test_a_scalar_is_found_between_far_points_where_a_few_episodes_show_it(problem):
-    best, base = far_off(problem, "joint_dry_friction", 1.9, 2.1)
-    found = refine.scanned(problem, brief(problem)[0], best, base)
-    assert found.members[0][1] == pytest.approx(0.3, rel=0.05)
-    assert best.gain < 0.5 * found.gain, "lines between the points lead past it"
-
-
-def test_a_scalar_that_gains_no_more_between_its_points_stays(problem, monkeypatch):
-    best, base = far_off(problem, "joint_dry_friction", 1.9, 2.1)
-    sharp = refine.scanned(problem, brief(problem)[0], best, base)
-    monkeypatch.setattr(refine, "polished", lambda problem, fit, base: best)
-    assert refine.scanned(problem, brief(problem)[0], sharp, base) is sharp
-
-
-def test_nothing_is_tried_between_choices_or_of_what_was_fitted_by_slopes(problem, rollouts):
-    best, base = far_off(problem, "joint_dry_friction", 0.3)
-    choice, _ = far_off(problem, "time_step", np.log(0.005))
-    plane = refine.joint(problem, best.members, base, widths=())
-    rollouts.clear()
-    assert refine.scanned(problem, problem, choice, base) is choice
-    assert refine.scanned(problem, problem, plane, base) is plane
-    assert rollouts == []

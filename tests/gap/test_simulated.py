@@ -17,7 +17,6 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, name_of
 from candata.gap.screen import _places, respond, screening
-from candata.gap.sets import _swapped
 from candata.gap.shortlist import SIMULATED, screened
 from candata.gap.stage import look, unheld
 from candata.gap.streams import Streams
@@ -284,11 +283,3 @@ def test_a_share_is_gained_by_what_shows_on_half_too(problem, monkeypatch):
     assert not shortlist.gains_share(posed, problem.nominal, [drift], ())
     monkeypatch.setattr(shortlist, "SILENT", 1.01)
     assert not shortlist.gains_share(posed, problem.nominal, [dry, drift], ()), "nothing closes more than all"
-
-
-def test_where_all_is_simulated_no_early_member_is_exchanged(problem, poor, monkeypatch):
-    monkeypatch.setattr("candata.gap.sets.look", lambda *_: pytest.fail("a look was taken"))
-    best = replace(poor.first.fits[0], members=poor.first.fits[0].members * 2)
-    assert _swapped(replace(problem, simulated=True), best) is None
-    with pytest.raises(pytest.fail.Exception):
-        _swapped(problem, best)

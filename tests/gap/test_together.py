@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import added, attribute, sets, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -20,9 +19,6 @@ from candata.gap.shrink import shares
 from candata.gap.stage import as_simulated, look
 from candata.gap.streams import Streams
 from candata.gap.together import beside, sums
-from candata.scenes import load_scene
-from candata.simulate.episodes import EpisodeJob, make_episodes
-from tests.gap.conftest import ARM, ROLES, plant
 
 TRUE = {"joint_dry_friction", "actuation_delay"}
 
@@ -34,14 +30,6 @@ def posed(arm, arm_episodes, planted, tmp_path_factory):
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, Streams(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True)
     return problem, look(problem, problem.nominal, ())
-
-
-@pytest.fixture(scope="module")
-def wrong(arm, posed):
-    """A fit of armature, which is no cause."""
-    problem, _ = posed
-    member = (candidate("armature", arm), np.full(1, 0.0005))
-    return joint(problem, (member,), problem.score.loss(problem.nominal))
 
 
 def names(members):
@@ -148,98 +136,6 @@ def test_each_value_of_a_choice_is_tried_with_what_is_held_moved_along(arm, maki
     assert found.loss < 0.02
 
 
-def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
-    problem, first = posed
-    found = added.together(problem, wrong, first.rough)
-    assert names(found.members) == TRUE
-    assert found.evidence.loss.mean() - 1 < worth.LEFT
-    assert names(sets.forward(problem, wrong, (), first.rough)[0][0].members) == TRUE
-
-
-@pytest.mark.parametrize(
-    ("blunt", "sharp", "taken"),
-    [
-        (1.31, 0.98, True),  # a part of what the pair leaves, and sharp all of it
-        (1.31, 1.31, False),  # no more than that: not worth a name beside the two
-        (1.55, 0.98, False),  # next to nothing of it: no sharp fit is spent
-    ],
-)
-def test_a_third_that_is_worth_little_beside_two_is_judged_sharply(posed, wrong, monkeypatch, blunt, sharp, taken):
-    problem, first = posed
-    size, gained = len(problem.recs), 16.0
-    pair, triple = (
-        tuple((candidate(name, problem.replayer.scene), np.full(1, 0.1)) for name in some)
-        for some in (TRUE, {*TRUE, "armature"})
-    )
-
-    def left(members, loss):
-        evidence = replace(wrong.evidence, loss=np.full(size, loss), gain=np.full(size, 1 + gained - loss))
-        return replace(wrong, members=members, evidence=evidence)
-
-    made = []
-
-    def fitted(problem, members, base, widths=(1,)):
-        made.append((len(members), bool(widths)))
-        return left(members, (sharp if widths else blunt) if len(members) == 3 else 1.6)
-
-    one = sums(brief(problem)[0], first.rough)[0][0]
-    monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=some)] for some in (pair, triple)])
-    monkeypatch.setattr(added, "by_loss", lambda problem, some: [(1.0, members) for members in some])
-    monkeypatch.setattr(added, "joint", fitted)
-    monkeypatch.setattr(added, "lightly_fitted", lambda part, members: (1.0, members))
-    monkeypatch.setattr(added, "pruned", lambda problem, fit, base: fit)
-    found = added.together(problem, left(wrong.members, 8.0), first.rough)
-    assert found.members == (triple if taken else pair)
-    assert ((3, True) in made) == (blunt < 1.5)
-
-
-def test_a_set_that_leaves_most_of_a_few_episodes_is_not_fitted_on_all(posed, wrong, monkeypatch):
-    problem, first = posed
-    part, _ = brief(problem)
-    now = float(part.score.loss(added.here_of(problem, wrong)[brief(problem)[1]]).mean())
-    left = 1 + 1.01 * added.BLUNTLY * (now - 1)
-    monkeypatch.setattr(added, "lightly_fitted", lambda part, members: (left, members))
-    monkeypatch.setattr(added, "_started", lambda *a: [])
-    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("fitted on all"))
-    assert added.together(problem, wrong, first.rough) is None
-
-
-def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wrong, monkeypatch):
-    problem, first = posed
-    settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1 + worth.LEFT / 2)))
-    monkeypatch.setattr(added, "sums", lambda *a: pytest.fail("signatures were added"))
-    assert added.together(problem, settled, first.rough) is None
-    assert added.together(problem, wrong, ()) is None
-    assert added.together(replace(problem, simulated=True), wrong, first.rough) is None
-
-
-@pytest.mark.parametrize("asked", [{"armature"}, {"armature", "joint_damping"}])
-def test_one_effect_makes_no_pair_and_two_no_triple(posed, wrong, asked):
-    problem, first = posed
-    assert added.together(problem, wrong, [r for r in first.rough if r[0].name in asked and not r[0].element]) is None
-
-
-def test_a_set_that_leaves_most_of_it_is_not_begun_with(arm, posed, wrong, monkeypatch):
-    problem, first = posed
-    poor = [r for r in first.rough if r[0].name not in TRUE]
-    assert added.together(problem, wrong, poor) is None
-    harmful = [(candidate(name, arm), np.full(1, value)) for name, value in (("joint_damping", 5.0), ("armature", 0.5))]
-    one = sums(brief(problem)[0], first.rough)[0][0]
-    monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=tuple(harmful))]])
-    monkeypatch.setattr(added, "_started", lambda *a: [])
-    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert added.together(problem, wrong, first.rough) is None
-
-
-def test_two_causes_are_named_before_the_best_alone_is_compared_with_its_rivals(posed, monkeypatch):
-    problem, first = posed
-    monkeypatch.setattr(attribute, "sharpened", lambda *a: pytest.fail("it was compared"))
-    monkeypatch.setattr(attribute, "FAR", 0.0)
-    found = attribute._search(problem, first)
-    assert names(found.chosen.members) == TRUE
-    assert found.chosen.evidence.loss.mean() - 1 < worth.LEFT
-
-
 @pytest.fixture(scope="module")
 def right(arm, posed):
     """A fit of the two true causes."""
@@ -247,54 +143,6 @@ def right(arm, posed):
     values = {"joint_dry_friction": 0.3, "actuation_delay": 0.03}
     members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
     return joint(problem, members, problem.score.loss(problem.nominal))
-
-
-def test_a_wrong_member_is_exchanged_for_the_one_that_adds_up(arm, posed, right):
-    problem, first = posed
-    damping = candidate("joint_damping", arm), np.full(1, 0.3)
-    wrong = joint(problem, (damping, right.members[1]), problem.score.loss(problem.nominal))
-    best, rivals = added.challenged(problem, problem, wrong, first.rough)
-    assert names(best.members) == TRUE
-    assert rivals == []
-
-
-def test_a_member_that_was_not_looked_at_alone_keeps_no_other_from_being_exchanged(arm, posed, right):
-    problem, first = posed
-    damping = candidate("joint_damping", arm), np.full(1, 0.3)
-    wrong = joint(problem, (damping, right.members[1]), problem.score.loss(problem.nominal))
-    some = [r for r in first.rough if r[0].label != right.labels[1]]
-    assert len(some) == len(first.rough) - 1
-    best, _ = added.challenged(problem, problem, wrong, some)
-    assert names(best.members) == TRUE
-
-
-def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
-    problem, first = posed
-    monkeypatch.setattr(added, "ALIKE", 1.0)
-    best, rivals = added.challenged(problem, problem, right, first.rough)
-    assert best is right
-    assert rivals == []
-    monkeypatch.setattr(added, "is_tied", lambda fit, best, errors=1.0: errors > 1)
-    _, rivals = added.challenged(problem, problem, right, first.rough)
-    assert len(rivals) == added.RIVALS
-    assert all(len(set(f.labels) & set(right.labels)) == 1 for f in rivals)
-
-
-def test_what_is_far_where_it_is_simulated_is_not_fitted(posed, right, monkeypatch):
-    problem, first = posed
-    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert added.challenged(problem, problem, right, first.rough, far=False) == (right, [])
-
-
-@pytest.mark.parametrize(("left", "far", "tried"), [(0.06, True, True), (0.04, True, False), (0.06, False, False)])
-def test_choices_are_tried_in_each_place_where_something_is_left(posed, right, monkeypatch, left, far, tried):
-    problem, first = posed
-    loss = np.full_like(right.evidence.loss, 1 + left)
-    asked = []
-    monkeypatch.setattr(added, "_nearest", lambda part, held, others, choices, much: asked.append(choices) or [])
-    best = replace(right, evidence=replace(right.evidence, loss=loss))
-    assert added.challenged(problem, problem, best, first.rough, far=far) == (best, [])
-    assert bool(asked[0]) is tried
 
 
 def test_what_was_simulated_on_the_recording_replaces_its_chord(posed):
@@ -319,14 +167,6 @@ def test_what_was_simulated_on_the_recording_replaces_its_chord(posed):
 def dict_of(responses):
     """The responses by label."""
     return {c.label: r for c, r in responses}
-
-
-def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, right, monkeypatch):
-    problem, first = posed
-    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert added.challenged(problem, problem, wrong, first.rough) == (wrong, [])
-    assert added.challenged(problem, problem, right, ()) == (right, [])
-    assert added.challenged(replace(problem, measured=right.members[:1]), problem, right, first.rough) == (right, [])
 
 
 def test_a_rival_that_is_as_good_takes_support_from_what_it_exchanges(arm, posed, right):
@@ -357,43 +197,3 @@ def rises(problem, fit):
     own = problem.score.loss(fit.plane.z).mean()
     without = [problem.score.loss(z).mean() - own for z in problem.without_each(fit.members)]
     return dict(zip(fit.labels, without, strict=True))
-
-
-def test_an_alias_that_is_not_yet_fitted_is_refitted_before_it_is_judged(tmp_path):
-    """Both servos have the same velocity gain and no limit: twice of it is as much damping of the joints."""
-    alike = ARM.replace('kv="1.5" forcerange="-4 4"', 'kv="1"').replace('kv=".6" forcerange="-3 3"', 'kv="1"')
-    (tmp_path / "arm.xml").write_text(alike)
-    (tmp_path / "scene.yaml").write_text(ROLES)
-    scene = load_scene(tmp_path / "scene.yaml")
-    effects = (*plant("servo_damping", kv_scale=2.0), *plant("actuation_delay", delay_s=0.03))
-    jobs = [EpisodeJob(f"e{i}", i, "free_sweep", 3, effects, hidden=True) for i in range(12)]
-    recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
-    problem = _problem(Replayer(scene), recs, Streams(0), None, lambda stage: None)
-    servo, late, damped, dry = (
-        candidate(n, scene) for n in ("servo_damping", "actuation_delay", "joint_damping", "joint_dry_friction")
-    )
-    delay, far = (late, np.full(1, 0.03)), np.full(1, 0.85)
-    held = ((servo, np.log(np.full(1, 2.0))), delay)
-    unfitted = [((damped, far), delay), ((dry, np.full(1, 0.02)), delay)]
-    here, there, without, base = (
-        added.by_loss(problem, [members])[0][0] for members in (held, unfitted[0], (delay,), ())
-    )
-    # What is not yet fitted leaves more than an alias may, and less than half of what the member is worth.
-    assert added.ALIKE * (base - here) < there - here < added.HALFWAY * (without - here)
-    (found,) = added._nearest(problem, held, unfitted)
-    assert names(found) == names(unfitted[0])
-    assert found[0][1] == pytest.approx([1.0], rel=0.05)
-
-
-def test_each_value_of_a_choice_takes_the_place_of_each_member(arm):
-    held = tuple((candidate(n, arm), np.full(1, 0.1)) for n in ("joint_damping", "actuation_delay"))
-    choice = candidate("integrator", arm)
-    z, at = np.zeros((3, 2, 4), np.float32), np.array([0.0, 1.0, 3.0])
-    rough = [(c, Curve(c, at, z, np.ones(3, bool))) for c in (choice, held[0][0])]
-    found = {tuple((c.label, *u) for c, u in members) for members in added._choices(held, rough)}
-    others = [u for u in at if u != choice.neutral[0]]
-    assert found == {
-        *((("integrator", u), ("actuation_delay", 0.1)) for u in others),
-        *((("joint_damping", 0.1), ("integrator", u)) for u in others),
-    }
-    assert added._choices((held[0], (choice, np.full(1, 1.0))), rough) == []  # that effect is in the set already

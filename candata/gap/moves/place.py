@@ -19,7 +19,7 @@ def propose(view: View) -> Iterator[Members]:
                 continue
             if other.size == c.size:
                 at = u
-            elif c.element is None and other.own[c.own].all() and other.size < c.size:
+            elif c.element is None and c.own[other.own].all() and other.size < c.size:
                 at = u[other.own[c.own]]
             else:
                 continue
