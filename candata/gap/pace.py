@@ -17,16 +17,10 @@ class Span(NamedTuple):
 
 #: The whole search for one cause, what each further one adds, comparing the best of a look, and what comes after the
 #: search: measured with signatures kept on ten drawn cases of the built-in hand (20 episodes, a replay of all took 1.0
-#: CPU s), `ANOTHER` beside the whole time of eight more; the least of what one cause takes on four later ones. A joint
-#: fit of everything was seen once, so that its most is all there is to say.
+#: CPU s), `ANOTHER` beside the whole time of eight more; the least of what one cause takes on four later ones.
 ONE, ANOTHER, SHARPEN, REST = Span(12, 36), Span(30, 65), Span(6, 20), Span(1, 12)
-JOINT = Span(0, 250)
 #: Looking at every effect by simulation, and with it a whole second search: two recordings of another engine.
 AGAIN = Span(40, 270)
-#: Looking at every effect by simulation beside what was found: four cases of two hands.
-BESIDE = Span(20, 60)
-#: Trying sets of effects whose signatures add up: eight cases of two hands.
-TOGETHER = Span(6, 50)
 #: Counting the episodes that one value explains, of one scalar or two, and the floors of two worlds: by their numbers.
 COUNT = Span(10, 55)
 #: Looking for a faint effect in the mean over many replays, or for where it acts: 13 drawn cases of a gripper.
