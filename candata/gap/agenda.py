@@ -36,9 +36,8 @@ SHOWN, MOVED = 6, 2
 #: Share of the loss that the incumbent explains which a set may leave beyond the incumbent's and go on, from the rungs
 #: `shown` and `moved`: what fits of these rungs are off by. Chosen.
 OFF_SHOWN, OFF_MOVED = 0.3, 0.1
-#: Share of what the incumbent leaves which larger sets must take where they are shown, else a force is asked
-#: first.
-#: Chosen for cost: a force takes some tens of replays, which fitting such sets may take too.
+#: Share of what the incumbent leaves which larger sets must take where they are shown, else a force is asked first.
+#: Chosen for cost: playing a force and fitting such sets each take some tens of replays.
 PROMISING = 0.25
 #: Larger sets from which the search proposes where nothing takes the incumbent's place. Chosen for cost.
 AHEAD = 2

@@ -10,6 +10,7 @@ import pytest
 
 from candata.gap.candidates import candidate
 from candata.gap.moves import MOVES
+from candata.gap.moves.split import SHARES
 from candata.gap.moves.view import View
 from candata.gap.search import Fit, key_of
 from candata.gap.shortlist import brief
@@ -120,7 +121,7 @@ def test_split_shares_what_a_member_explains_with_an_effect_that_does_much_alike
     view = View(problem, problem, part, index, fitted(problem, members(arm, servo_damping=1.5)), alone, True)
     ((_, u),) = view.members
     found = [some for some in MOVES["split"](view) if labels(some) == ("servo_damping", "joint_damping")]
-    assert len(found) == 2
+    assert len(found) == len(SHARES)
     for (_, own), (_, rest) in found:
         assert 0 < own[0] < u[0], "less than it is alone"
         assert rest[0] > 0
