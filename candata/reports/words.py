@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import PurePath
 
 from candata.reports.numbers import EQUALLY_GOOD, SUFFIX_UNITS, digits, format_estimate, percent, unit_of
-from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom, Verdict
+from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom
 
 #: A space at which no line ends.
 TIE = "\N{NO-BREAK SPACE}"
@@ -15,42 +15,6 @@ TIE = "\N{NO-BREAK SPACE}"
 NAMED_EPISODES = 3
 #: Remainder of the gap [floors] below which a sentence does not speak of it.
 SMALLEST_REMAINDER = 0.05
-#: The verdict as a headline.
-HEADLINES: dict[Verdict, str] = {
-    "no_gap": "No gap found",
-    "explained": "Explained",
-    "partly_explained": "Partly explained",
-    "ambiguous": "Ambiguous",
-    "unknown_effect": "Unknown effect",
-    "too_little_data": "Too little data",
-    "out_of_budget": "Out of budget",
-}
-
-_MEANINGS: dict[Verdict, str] = {
-    "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
-    "explained": "The named effects pass the held-out test and close most of the gap: at least 80 % of it, or half of "
-    "it when no more than 0.30 floors remain, or what can be measured of a gap smaller than that.",
-    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap (a single effect: "
-    "half), in all episodes or in all but a few, but something else remains.",
-    "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
-    "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
-    "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
-    "out_of_budget": "The CPU time was spent before the search ended: the report says what is known by then, but no "
-    "effect is named.",
-}
-
-#: Other words of the page.
-TERMS = {
-    "floor": "the mismatch that sensor noise and luck alone give; 1 floor is as good as it can get",
-    "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
-    "gain": "how much the robust loss falls on held-out episodes, in floors",
-    "share": "how much of the gain is lost when this effect alone is left out; the shares of effects that need one "
-    "another add up to more than 100 %",
-    "support": "how often a candidate comes first when episodes are resampled; in a set, how often it comes before "
-    "what was tried in its place; lower when the named set leaves much of the gap",
-    "p": "how likely chance alone would show a cell as strong, over all cells",
-}
-
 _CHANNELS = {
     "object_pose": "the object's pose",
     "object_position": "the object's position",
@@ -76,27 +40,6 @@ _REGIMES = {
     "pulling": "where its motor pulls",
     "idle": "where its motor hardly pulls",
 }
-
-
-def explain(verdict: Verdict) -> str:
-    """Return one sentence that says what a verdict word means."""
-    return _MEANINGS[verdict]
-
-
-def headline(report: Report) -> str:
-    """Return the verdict in a few words; against a reference, that nothing changed."""
-    is_unchanged = report.verdict == "no_gap" and report.data.against
-    return "No change found" if is_unchanged else HEADLINES[report.verdict]
-
-
-def meaning(report: Report) -> str:
-    """Return what the verdict means, and what a gap is where a reference was given."""
-    if not report.data.against:
-        return explain(report.verdict)
-    return (
-        f"{explain(report.verdict)} The gap is what changed since {report.data.against}: what the simulation already "
-        "leaves open there does not count."
-    )
 
 
 def where_sentence(report: Report) -> str:
@@ -286,13 +229,16 @@ def after_name(report: Report) -> str:
     return "repaired" if report.effects else "best candidate"
 
 
-def next_motion_sentence(report: Report) -> str:
-    """Return the sentence that says what to record next; empty when nothing is proposed."""
+def next_motion_sentence(report: Report, file: str | None = None) -> str:
+    """Return the sentence that says what to record next, and in which file; empty when nothing is proposed.
+
+    `file` is the path of the motion's file from where the reader stands, the record's own name without it.
+    """
     motion = report.next_motion
     if motion is None:
         return ""
     separates = enumeration([readable_name(name) for name in motion.separates], "from")
-    text = f"Record {readable_name(motion.name)}" + (f" ({motion.file})" if motion.file else "")
+    text = f"Record {readable_name(motion.name)}" + (f" ({file or motion.file})" if motion.file else "")
     text = f"{text}: it separates {separates}." if separates else f"{text}."
     return f"{text} {sentence_case(motion.reason)}." if motion.reason else text
 
@@ -311,8 +257,8 @@ def symptom_place(symptom: Symptom) -> str:
 
 
 def effect_title(name: str, element: str | None) -> str:
-    """Return `joint dry friction at index2`, or the bare effect when it acts everywhere."""
-    return readable_name(name) + (f" at {element}" if element else "")
+    """Return `joint dry friction on index2`, or the bare effect when it acts everywhere."""
+    return readable_name(name) + (f" on {element}" if element else "")
 
 
 def effect_phrase(effect: NamedEffect) -> str:
