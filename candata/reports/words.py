@@ -27,6 +27,14 @@ _CHANNELS = {
     "fingertip_force": "fingertip force",
 }
 
+#: Phases of contact as a sentence speaks of them; a name of its own where there is no entry.
+_PHASES = {
+    "free": "free motion",
+    "onset": "the onset of contact",
+    "sustained": "sustained contact",
+    "slip": "slip",
+    "release": "release",
+}
 
 #: Where the excess of an element lies, by the regime of the record.
 _REGIMES = {
@@ -250,7 +258,7 @@ def symptom_place(symptom: Symptom) -> str:
         text = f"the object's {symptom.element}"
     elif symptom.element:
         text += f" of {symptom.element}"
-    text += f" during {readable_name(symptom.phase)}" if symptom.phase else ""
+    text += f" during {_PHASES.get(symptom.phase, readable_name(symptom.phase))}" if symptom.phase else ""
     return text + (
         f", above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}" if symptom.regime else ""
     )
