@@ -108,7 +108,7 @@ def diagnose(
     _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects, shared_signatures)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as find
-    from candata.reports import summary
+    from candata.reports import report_context, summary
 
     world = _nominal(scene, effects)
     edit_data = None if edit is None else _edit_data(edit, edit_scene, world, effects)
@@ -136,7 +136,10 @@ def diagnose(
                 diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
             diagnosis = diagnosis if run is None else _with_model(diagnosis, run, data, scene, stage)
             page = _write_report(diagnosis, world, out, stage)
-    console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report))
+    if json:
+        console.out(diagnosis.report.model_dump_json(indent=2))
+    else:
+        console.out(summary(diagnosis.report, report_context(diagnosis, world, out)))
     console.note(f"report: {page}")
     if diagnosis.report.verdict in failing_verdicts:
         raise typer.Exit(1)

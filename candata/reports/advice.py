@@ -72,16 +72,18 @@ def commands(report: Report, context: ReportContext) -> list[tuple[str, str]]:
     effects_file = context.path(EFFECTS_FILE)
     repaired = [("simulate with it", f"candata generate-sim --effects {effects_file} --episodes 8 --out repaired")]
     if context.mjcf_lines:
-        repaired.append(("write it into your MJCF", f"candata scene export --effects {effects_file} --out repaired_model"))
+        repaired.append(
+            ("write it into your MJCF", f"candata scene export --effects {effects_file} --out repaired_model")
+        )
     return repaired
 
 
-def change(effect_found: NamedEffect, groups: Mapping[str, tuple[str, ...]]) -> SimulatorChange:
-    """Return what to change for one named effect; `groups` holds the joints of each group of the scene."""
+def change(effect_found: NamedEffect, groups: Mapping[str, tuple[str, ...]] | None = None) -> SimulatorChange:
+    """Return what to change for one named effect; `groups` holds the joints of each group of the scene, if any."""
     values = [_value(effect_found, parameter, estimate) for parameter, estimate in effect_found.parameters.items()]
     text, si_numbers = words.enumeration([v for v, _ in values]), " ".join(r for _, r in values)
     element = effect_found.element
-    members = words.enumeration(groups.get(element, ())) if element else ""
+    members = words.enumeration((groups or {}).get(element, ())) if element else ""
     all_joints = "every jaw" if any(e.unit for e in effect_found.parameters.values()) else "every driven joint"
     places = {
         "joint": f"joint {element}" if element else all_joints,
@@ -91,7 +93,10 @@ def change(effect_found: NamedEffect, groups: Mapping[str, tuple[str, ...]]) -> 
         "surface": f"{element}" if element else "object, fingertips and support",
     }
     if members:
-        places |= {"joint": f"joints {members} (group {element})", "servo": f"the servos of {members} (group {element})"}
+        places |= {
+            "joint": f"joints {members} (group {element})",
+            "servo": f"the servos of {members} (group {element})",
+        }
     kind = EFFECTS.load(effect_found.name) if effect_found.name in EFFECTS else None
     if kind is None or kind.advice is None:
         about = f"{kind.about}, " if kind else ""

@@ -86,9 +86,7 @@ def choose_camera(
     return cameras[clearest if shares[clearest] > shares[0] + CLEARLY_MORE else 0]
 
 
-def fit_camera(
-    model: mujoco.MjModel, qpos: Array, aspect: float, view: tuple[float, float] = VIEWS[0]
-) -> FreeCamera:
+def fit_camera(model: mujoco.MjModel, qpos: Array, aspect: float, view: tuple[float, float] = VIEWS[0]) -> FreeCamera:
     """Return the free camera that just holds all that moves over `qpos` (K, nq), centred.
 
     `view` is its azimuth and elevation [deg].

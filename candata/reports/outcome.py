@@ -79,8 +79,7 @@ def outcome(report: Report) -> str:
         names = [words.readable_name(name) for name in report.ambiguous_class]
         subject = words.sentence_case(words.enumeration(names)) or "Several effects"
         return (
-            f"{subject} explain {_gap(report)} equally well, so none is named"
-            f"{_mismatch(report, '; the mismatch is ')}."
+            f"{subject} explain {_gap(report)} equally well, so none is named{_mismatch(report, '; the mismatch is ')}."
         )
     if not report.effects:
         return f"No effect of the library explains {_gap(report)}{_mismatch(report, '; the mismatch stays at ')}."

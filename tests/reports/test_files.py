@@ -35,7 +35,7 @@ def diagnosis(make_report, full_evidence, small_pictures, no_gl) -> Diagnosis:
 @pytest.fixture
 def scene(hand):
     """All that a page needs of a scene."""
-    return SimpleNamespace(model=hand)
+    return SimpleNamespace(model=hand, file=SimpleNamespace(groups={}))
 
 
 def test_three_files_are_written_into_a_folder_that_is_made(tmp_path, diagnosis, scene):
