@@ -108,7 +108,6 @@ def diagnose(
     _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects, shared_signatures)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as find
-    from candata.reports import report_context, summary
 
     world = _nominal(scene, effects)
     edit_data = None if edit is None else _edit_data(edit, edit_scene, world, effects)
@@ -136,10 +135,7 @@ def diagnose(
                 diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
             diagnosis = diagnosis if run is None else _with_model(diagnosis, run, data, scene, stage)
             page = _write_report(diagnosis, world, out, stage)
-    if json:
-        console.out(diagnosis.report.model_dump_json(indent=2))
-    else:
-        console.out(summary(diagnosis.report, report_context(diagnosis, world, out)))
+    console.out(diagnosis.report.model_dump_json(indent=2) if json else _summary(diagnosis, world, out))
     console.note(f"report: {page}")
     if diagnosis.report.verdict in failing_verdicts:
         raise typer.Exit(1)
@@ -206,6 +202,13 @@ def _write_report(diagnosis: Diagnosis, scene: Scene, out: Path, stage: Callable
 
     stage("writing the report")
     return write_diagnosis(diagnosis, scene, out)
+
+
+def _summary(diagnosis: Diagnosis, scene: Scene, out: Path) -> str:
+    """Return the text of a diagnosis whose report stands in `out`."""
+    from candata.reports import report_context, summary
+
+    return summary(diagnosis.report, report_context(diagnosis, scene, out))
 
 
 def _verdicts(text: str) -> tuple[str, ...]:

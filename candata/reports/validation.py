@@ -12,6 +12,7 @@ from candata.checks import LEVELS, Finding, Group, Level, group_findings, meanin
 from candata.datasets import Dataset
 from candata.datasets.writing import write_text
 from candata.reports.document import render_page
+from candata.reports.numbers import digits
 from candata.reports.words import sentence_case
 
 #: Level to its colour in `templates/style.css.j2`.
@@ -127,7 +128,7 @@ def _headline(counts: Counter[Level]) -> tuple[str, str]:
 
 def _method(deep: bool, rules: Sequence[str] | None) -> str:
     """Return how it was checked, in two sentences."""
-    rule_words = f"These rules were applied: {', '.join(rules)}." if rules else "All rules were applied."
+    rule_words = f"These rules were tried: {', '.join(rules)}." if rules else "All rules were tried."
     depth = (
         "Every file was hashed in full."
         if deep
@@ -157,7 +158,7 @@ def _group(group: Group, episode_count: int) -> FindingGroup:
     return FindingGroup(
         level=group.level,
         tone=TONES[group.level],
-        problem=group.problem,
+        problem=sentence_case(group.problem),
         channel=group.channel,
         rule=group.rule,
         percent=100 * count / max(episode_count, 1) if count else 100,
@@ -173,10 +174,14 @@ def _row(finding: Finding) -> tuple[str, ...]:
     times = ", ".join(f"{a:.3g}{DASH}{b:.3g} s" if b > a else f"{a:.3g} s" for a, b in finding.ranges[:MOST_RANGES])
     if len(finding.ranges) > MOST_RANGES:
         times += f" and {len(finding.ranges) - MOST_RANGES} more"
-    numbers = ", ".join(
-        f"{name} {shorten(str(value), EVIDENCE_LENGTH, placeholder=' ...')}" for name, value in finding.evidence.items()
-    )
+    numbers = ", ".join(f"{name} {_evidence(value)}" for name, value in finding.evidence.items())
     return finding.episode or "the set", finding.message, times or "throughout", numbers or DASH
+
+
+def _evidence(value: object) -> str:
+    """Return a piece of evidence in a few characters; --json has all of it."""
+    text = digits(value) if isinstance(value, float) else str(value)
+    return shorten(text, EVIDENCE_LENGTH, placeholder=" ...")
 
 
 def _rules(groups: Sequence[Group], rules: Sequence[str] | None) -> list[tuple[str, str, str]]:

@@ -61,8 +61,16 @@ def where_sentence(report: Report) -> str:
     strongest_symptom, *weaker_symptoms = report.where
     size = f"{times_floor(strongest_symptom.ratio)} ({p_text(strongest_symptom.p)})"
     text = f"The gap shows most in {symptom_place(strongest_symptom)}: {size}"
-    next_places = list(dict.fromkeys(symptom_place(symptom) for symptom in weaker_symptoms))[:2]
-    return f"{text}; then in {enumeration(next_places)}." if next_places else f"{text}."
+    next_places = list(dict.fromkeys(_next_place(symptom, strongest_symptom) for symptom in weaker_symptoms))[:2]
+    return f"{text}; then {enumeration(next_places)}." if next_places else f"{text}."
+
+
+def _next_place(symptom: Symptom, strongest: Symptom) -> str:
+    """Return the place of a weaker symptom, of the same element by its phase alone."""
+    same_fields = ("channel", "element", "regime")
+    if symptom.phase and all(getattr(symptom, name) == getattr(strongest, name) for name in same_fields):
+        return f"during {_phase_words(symptom.phase)}"
+    return f"in {symptom_place(symptom)}"
 
 
 def where_headline(report: Report) -> str:
@@ -258,10 +266,15 @@ def symptom_place(symptom: Symptom) -> str:
         text = f"the object's {symptom.element}"
     elif symptom.element:
         text += f" of {symptom.element}"
-    text += f" during {_PHASES.get(symptom.phase, readable_name(symptom.phase))}" if symptom.phase else ""
+    text += f" during {_phase_words(symptom.phase)}" if symptom.phase else ""
     return text + (
         f", above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}" if symptom.regime else ""
     )
+
+
+def _phase_words(phase: str) -> str:
+    """Return a phase of contact as a sentence speaks of it."""
+    return _PHASES.get(phase, readable_name(phase))
 
 
 def effect_title(name: str, element: str | None) -> str:
