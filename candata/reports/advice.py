@@ -60,9 +60,10 @@ class ReportContext:
         return shlex.quote(str(self.folder / file))
 
 
-def changes(report: Report, context: ReportContext) -> list[SimulatorChange]:
+def changes(report: Report, context: ReportContext | None = None) -> list[SimulatorChange]:
     """Return what to change for each named effect, in the order of the record."""
-    return [change(effect_found, context.groups) for effect_found in report.effects]
+    groups = None if context is None else context.groups
+    return [change(effect_found, groups) for effect_found in report.effects]
 
 
 def commands(report: Report, context: ReportContext) -> list[tuple[str, str]]:

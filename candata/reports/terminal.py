@@ -83,7 +83,7 @@ def _untested_words(report: Report) -> str:
     count = sum(candidate.reason == advice.NO_RESPONSE for candidate in report.ranking)
     if count:
         subject = "1 effect moves" if count == 1 else f"{count} effects move"
-        parts.append(f"{subject} nothing in these motions; report.html lists them")
+        parts.append(f"{subject} nothing in these motions (see report.html)")
     return "; ".join(parts)
 
 

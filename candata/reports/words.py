@@ -35,6 +35,8 @@ _PHASES = {
     "slip": "slip",
     "release": "release",
 }
+#: Regimes that go without saying in a phase.
+_IMPLIED_REGIMES = {"onset": "loaded", "sustained": "loaded", "slip": "loaded", "free": "free"}
 
 #: Where the excess of an element lies, by the regime of the record.
 _REGIMES = {
@@ -267,9 +269,9 @@ def symptom_place(symptom: Symptom) -> str:
     elif symptom.element:
         text += f" of {symptom.element}"
     text += f" during {_phase_words(symptom.phase)}" if symptom.phase else ""
-    return text + (
-        f", above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}" if symptom.regime else ""
-    )
+    if not symptom.regime or symptom.regime == _IMPLIED_REGIMES.get(symptom.phase or ""):
+        return text
+    return f"{text}, above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}"
 
 
 def _phase_words(phase: str) -> str:

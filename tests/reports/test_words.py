@@ -298,7 +298,8 @@ def test_percent_never_rounds_up_to_all(share, text):
         (None, "joint position of index2 during the onset of contact"),
         ("reversal", "joint position of index2 during the onset of contact, above all where it turns back"),
         ("moving -", "joint position of index2 during the onset of contact, above all while it moves down (-)"),
-        ("loaded", "joint position of index2 during the onset of contact, above all under contact"),
+        ("loaded", "joint position of index2 during the onset of contact"),
+        ("pulling", "joint position of index2 during the onset of contact, above all where its motor pulls"),
     ],
 )
 def test_a_symptom_says_its_regime_only_where_it_has_one(regime, text):
