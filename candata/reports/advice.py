@@ -105,6 +105,12 @@ def change(effect_found: NamedEffect, groups: Mapping[str, tuple[str, ...]] | No
     return SimulatorChange(kind.advice.change.format(x=text, **places), kind.advice.mjcf.format(raw=si_numbers))
 
 
+def next_motion(report: Report, context: ReportContext) -> str:
+    """Return what to record next, and the path of its commands; empty when nothing is proposed."""
+    file = report.next_motion.file if report.next_motion else None
+    return words.next_motion_sentence(report, context.path(file) if file else None)
+
+
 def next_step(report: Report) -> str:
     """Return what to do with the simulator when no effect is named; empty when one is."""
     missing_count = max(0, FEWEST - report.data.episodes.total)

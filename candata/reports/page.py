@@ -102,7 +102,7 @@ def page(
         report=report,
         outcome=outcome.outcome(report),
         notes=" ".join(filter(None, (outcome.FLOOR if report.gap else "", outcome.against_note(report)))),
-        answers=_answers(report),
+        answers=_answers(report, context),
         changes=advice.changes(report, context),
         mjcf_lines=context.mjcf_lines,
         commands=advice.commands(report, context),
@@ -131,7 +131,7 @@ def page(
     )
 
 
-def _answers(report: Report) -> list[ReportAnswer]:
+def _answers(report: Report, context: ReportContext) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
     sentences = (
         words.closure_sentence(report),
@@ -140,7 +140,7 @@ def _answers(report: Report) -> list[ReportAnswer]:
         words.learned_sentence(report),
     )
     closure = " ".join(filter(None, sentences))
-    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
+    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), advice.next_motion(report, context))))
     return [
         ReportAnswer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
         ReportAnswer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),

@@ -42,8 +42,7 @@ def summary(report: Report, context: ReportContext | None = None) -> str:
     )
     lines += _entry("not known", words.unknowns_sentence(report))
     lines += _entry("untested", _untested_words(report))
-    motion_file = report.next_motion.file if report.next_motion else None
-    lines += _entry("next", words.next_motion_sentence(report, context.path(motion_file) if motion_file else None))
+    lines += _entry("next", advice.next_motion(report, context))
     lines += _entry("data", _data(report))
     text = "\n".join(line.replace(words.TIE, " ") for line in lines)
     return "\n".join([text, *_commands(report, context)])
