@@ -111,13 +111,18 @@ def _generate(folder: Path, scene: str, seal: Path, seed: int, episodes: int, jo
 
 
 def judge(report: Report, truth: EffectSetting) -> str:
-    """Return `found`, `found in a class`, or `missed`: how the verdict stands to the truth."""
-    names = [effect.name for effect in report.effects]
-    if names == [truth.name]:
+    """Return `found`, `found among others`, `found in a class`, or `missed`: how the verdict stands to the truth."""
+    causes = [(effect.name, effect.element) for effect in report.effects]
+    if causes == [(truth.name, truth.element)]:
         return "found"
-    if truth.name in names:
+    if (truth.name, truth.element) in causes:
         return "found among others"
-    return "found in a class" if truth.name in report.ambiguous_class else "missed"
+    return "found in a class" if _label(truth) in report.ambiguous_class else "missed"
+
+
+def _label(truth: EffectSetting) -> str:
+    """Return the hidden fault as records name it."""
+    return truth.name if truth.element is None else f"{truth.name} {truth.element}"
 
 
 def _print_json(report: Report, truth: EffectSetting, page: Path) -> None:
@@ -142,7 +147,7 @@ def _print(report: Report, context: ReportContext, truth: EffectSetting, page: P
 
     out(summary(report, context))
     out("")
-    out(f"seal opened: {truth.name}, {judge(report, truth)}")
+    out(f"seal opened: {_label(truth).replace(' ', ' on ')}, {judge(report, truth)}")
     out_table(("", "hidden", "found", "90 % interval"), list(_rows(report, truth)))
     out("")
     out(f"report: {page}")
@@ -152,7 +157,7 @@ def _rows(report: Report, truth: EffectSetting) -> list[tuple[str, str, str, str
     """Return a line a parameter of the hidden effect: its truth, and what the diagnosis says."""
     estimates: dict[str, Any] = {}
     for effect in report.effects:
-        if effect.name == truth.name:
+        if (effect.name, effect.element) == (truth.name, truth.element):
             estimates = dict(effect.parameters)
     lines = []
     for name, value in truth.parameters.items():

@@ -76,7 +76,7 @@ def outcome(report: Report) -> str:
             f"{_mismatch(report, '; the mismatch is ')}."
         )
     if report.verdict == "ambiguous":
-        names = [words.readable_name(name) for name in report.ambiguous_class]
+        names = [words.label_title(label) for label in report.ambiguous_class]
         subject = words.sentence_case(words.enumeration(names)) or "Several effects"
         return (
             f"{subject} explain {_gap(report)} equally well, so none is named{_mismatch(report, '; the mismatch is ')}."

@@ -101,7 +101,7 @@ def motion_rows(motion: NextMotion) -> list[tuple[str, str]]:
     return [
         ("motion", words.readable_name(motion.name)),
         ("command file", motion.file or ""),
-        ("separates", words.enumeration([words.readable_name(name) for name in motion.separates], "from")),
+        ("separates", words.enumeration([words.label_title(label) for label in motion.separates], "from")),
         ("how", "play it on the real hand, append the recording to the dataset, and diagnose again"),
         *_other_fields(motion, {"name", "file", "separates"}),
     ]

@@ -87,7 +87,7 @@ def where_headline(report: Report) -> str:
 def cause_headline(report: Report) -> str:
     """Return the named or tied effects in a few words; empty when none is."""
     if report.verdict == "ambiguous":
-        return sentence_case(enumeration([readable_name(name) for name in report.ambiguous_class], "or"))
+        return sentence_case(enumeration([label_title(label) for label in report.ambiguous_class], "or"))
     return sentence_case(enumeration([effect_title(effect.name, effect.element) for effect in report.effects]))
 
 
@@ -100,7 +100,7 @@ def cause_sentence(report: Report) -> str:
     if report.verdict == "out_of_budget":
         return f"None is named: the search was not finished{_best_ranked(report, '; first so far is ')}."
     if report.verdict == "ambiguous":
-        candidates = enumeration([readable_name(name) for name in report.ambiguous_class], "or") or "several candidates"
+        candidates = enumeration([label_title(label) for label in report.ambiguous_class], "or") or "several candidates"
         return f"{sentence_case(candidates)}: these recordings cannot tell them apart."
     if not report.effects:
         return f"No effect in the library explains the gap{_best_ranked(report, '; the nearest is ')}."
@@ -235,7 +235,7 @@ def _effect_unknowns(effect: NamedEffect) -> list[str]:
             if alternative
         ]
     if effect.rivals:
-        rivals = enumeration([readable_name(rival) for rival in effect.rivals], "or")
+        rivals = enumeration([label_title(rival) for rival in effect.rivals], "or")
         parts.append(
             f"{name} may be {rivals} instead: beside the other effects these recordings cannot tell them apart"
         )
@@ -255,7 +255,7 @@ def next_motion_sentence(report: Report, file: str | None = None) -> str:
     motion = report.next_motion
     if motion is None:
         return ""
-    separates = enumeration([readable_name(name) for name in motion.separates], "from")
+    separates = enumeration([label_title(label) for label in motion.separates], "from")
     text = f"Record {readable_name(motion.name)}" + (f" ({file or motion.file})" if motion.file else "")
     text = f"{text}: it separates {separates}." if separates else f"{text}."
     return f"{text} {sentence_case(motion.reason)}." if motion.reason else text
@@ -277,6 +277,12 @@ def symptom_place(symptom: Symptom) -> str:
 def _phase_words(phase: str) -> str:
     """Return a phase of contact as a sentence speaks of it."""
     return _PHASES.get(phase, readable_name(phase))
+
+
+def label_title(label: str) -> str:
+    """Return a record's label of a candidate, `joint_damping left_base`, as `joint damping on left_base`."""
+    name, _, element = label.partition(" ")
+    return effect_title(name, element or None)
 
 
 def effect_title(name: str, element: str | None) -> str:

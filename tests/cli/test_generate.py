@@ -10,6 +10,7 @@ import pytest
 
 from candata.effects import effect
 from candata.scenes import load_scene
+from candata.schema.effect import EffectSetting
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
 from candata.simulate.randomisation import check_randomisation
 from candata_cli import demo_command
@@ -353,6 +354,16 @@ def test_a_quick_demo_takes_the_gripper_and_the_fewest_episodes(tmp_path, diagno
     calls = diagnosis("joint_dry_friction", {"frictionloss_Nm": 0.1})
     assert exit_code("demo", "--quick", "--out", tmp_path, "--jobs", 1, "--json") == 0
     assert calls == [("real", "gripper_tabletop", 1, 8)]
+
+
+@pytest.mark.parametrize(("element", "outcome"), [("mid1", "found"), ("mid2", "missed"), (None, "missed")])
+def test_the_demo_asks_for_the_joint_too(element, outcome):
+    truth = EffectSetting(name="joint_dry_friction", element="mid1", parameters={"frictionloss_Nm": 0.1})
+    named = NamedEffect(name=truth.name, element=element, share=1.0, support=1.0, parameters={})
+    data = DiagnosisData(dataset="real@0", episodes=EpisodeCount(total=8, folds=4, held_out=8))
+    assert demo_command.judge(Report(verdict="explained", effects=(named,), data=data), truth) == outcome
+    tied = Report(verdict="ambiguous", ambiguous_class=("joint_dry_friction mid1", "x"), data=data)
+    assert demo_command.judge(tied, truth) == "found in a class"
 
 
 @pytest.mark.parametrize("scene", [demo_command.SCENE, demo_command.QUICK_SCENE])

@@ -170,6 +170,13 @@ def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
     assert words.next_motion_sentence(report) == expected
 
 
+def test_a_tied_candidate_keeps_the_name_of_its_joint(make_report):
+    labels = ("joint_damping left_base", "servo_gain")
+    report = make_report("ambiguous").model_copy(update={"ambiguous_class": labels})
+    assert words.cause_headline(report) == "Joint damping on left_base or servo gain"
+    assert outcome(report).startswith("Joint damping on left_base and servo gain explain the gap equally well")
+
+
 def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
     assert "the nearest is joint dry friction on index2" in words.cause_sentence(make_report("unknown_effect"))
 
