@@ -78,12 +78,13 @@ def demo(
         diagnosis = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage, ends=stage.ends)
         stage.ends(None)
         stage("writing the report")
-        page = write_diagnosis(diagnosis, scene, folder / "report")
+        context = report_context(diagnosis, scene, folder / "report")
+        page = write_diagnosis(diagnosis, scene, folder / "report", context)
     (truth,) = open_seal(seal, dataset)
     if json:
         _print_json(diagnosis.report, truth, page)
     else:
-        _print(diagnosis.report, report_context(diagnosis, scene, page.parent), truth, page)
+        _print(diagnosis.report, context, truth, page)
 
 
 def hidden_fault(scene: str, seed: int) -> RandomisationFile:

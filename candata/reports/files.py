@@ -26,15 +26,15 @@ CALIBRATION = "calibration.yaml"
 COMMENT_WIDTH = 98
 
 
-def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
+def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path, context: ReportContext | None = None) -> Path:
     """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
 
     `motion.parquet` stands beside them where a motion is proposed, `learned_residual.yaml` where a force was fitted to
     what no effect explains, `calibration.yaml` where a joint fit closes more than what is named; those of an earlier
-    diagnosis go. Each file appears whole or not at all.
+    diagnosis go. Each file appears whole or not at all. `context` is that of `report_context`, made here by default.
     """
     text = effects_text(diagnosis.effects)
-    context = report_context(diagnosis, scene, out)
+    context = context or report_context(diagnosis, scene, out)
     page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text, context)
     write_text(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n", "report")
     write_text(out / EFFECTS_FILE, text, "report")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from candata.errors import SceneError, UsageError
+from candata.errors import SceneError, SetupError, UsageError
 from candata.gap import Diagnosis
 from candata.repair import Change, mjcf_changes
 from candata.scenes import Scene
@@ -23,7 +23,7 @@ def mjcf_lines(scene: Scene, diagnosis: Diagnosis) -> tuple[str, ...]:
         return ()
     try:
         changes = mjcf_changes(scene, diagnosis.named)
-    except (SceneError, UsageError):
+    except (SceneError, SetupError, UsageError):
         return ()
     by_element: dict[tuple[str, int, str], list[Change]] = {}
     for change in changes:

@@ -332,7 +332,9 @@ def diagnosis(monkeypatch):
             return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data), named=())
 
         monkeypatch.setattr("candata.gap.diagnose", diagnose)
-        monkeypatch.setattr("candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html")
+        monkeypatch.setattr(
+            "candata.reports.write_diagnosis", lambda _found, _scene, out, _context: out / "report.html"
+        )
         return calls
 
     return plant
