@@ -99,7 +99,7 @@ def search(problem: Problem, first: Fit, alone: Responses, ends: Callable[[Probl
         the search ends where it returns true, else it looks ahead.
     """
     world, best = rescored(problem, first)
-    state = Search(problem, world, best, {first.key: first})
+    state = Search(problem, world, best)
     front, is_asked = [best], False
     for _ in range(ROUNDS):
         world.sofar.best = state.incumbent

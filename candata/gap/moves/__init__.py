@@ -8,16 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from candata.gap.moves import add, drop, exchange, pair, place, split
+from candata.gap.moves.add import propose as propose_add
+from candata.gap.moves.drop import propose as propose_drop
+from candata.gap.moves.exchange import propose as propose_exchange
+from candata.gap.moves.pair import propose as propose_pair
+from candata.gap.moves.place import propose as propose_place
+from candata.gap.moves.split import propose as propose_split
 from candata.gap.moves.view import View
 from candata.gap.search import Members
 
 Move = Callable[[View], Iterator[Members]]
 MOVES: dict[str, Move] = {
-    "add": add.propose,
-    "pair": pair.propose,
-    "split": split.propose,
-    "exchange": exchange.propose,
-    "drop": drop.propose,
-    "place": place.propose,
+    "add": propose_add,
+    "pair": propose_pair,
+    "split": propose_split,
+    "exchange": propose_exchange,
+    "drop": propose_drop,
+    "place": propose_place,
 }
