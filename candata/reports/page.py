@@ -10,8 +10,7 @@ from markupsafe import Markup
 
 from candata.datasets.writing import write_text
 from candata.gap.evidence import Evidence, Example
-from candata.reports import advice, exhibits, figures, heat, outcome, tables, words
-from candata.reports.advice import ReportContext
+from candata.reports import advice, exhibits, figures, heat, tables, words
 from candata.reports.document import render_page
 from candata.reports.filmstrip import filmstrip
 from candata.reports.numbers import percent
@@ -56,12 +55,7 @@ class ReportAnswer:
 
 
 def write_report(
-    report: Report,
-    evidence: Evidence,
-    model: mujoco.MjModel | None,
-    out: Path,
-    effects_yaml: str,
-    context: ReportContext | None = None,
+    report: Report, evidence: Evidence, model: mujoco.MjModel | None, out: Path, effects_yaml: str
 ) -> Path:
     """Write `report.html` into the folder `out` and return its path.
 
@@ -77,35 +71,22 @@ def write_report(
         Folder, made when missing.
     effects_yaml : str
         Text of `effects.yaml`, shown with a button that copies it.
-    context : ReportContext, optional
-        What advice needs beside the record; by default the folder alone.
     """
-    context = context or ReportContext(Path(out))
-    return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml, context), "report")
+    return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml), "report")
 
 
-def page(
-    report: Report,
-    evidence: Evidence,
-    model: mujoco.MjModel | None,
-    effects_yaml: str,
-    context: ReportContext | None = None,
-) -> str:
+def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:
     """Return the whole page as text."""
-    context = context or ReportContext()
-    headline = outcome.headline(report)
+    headline = words.headline(report)
     return render_page(
         "diagnosis",
         title=f"{headline}: {report.data.dataset}",
         tone=TONES[report.verdict],
         headline=headline,
         report=report,
-        outcome=outcome.outcome(report),
-        notes=" ".join(filter(None, (outcome.FLOOR if report.gap else "", outcome.against_note(report)))),
-        answers=_answers(report, context),
-        changes=advice.changes(report, context),
-        mjcf_lines=context.mjcf_lines,
-        commands=advice.commands(report, context),
+        meaning=words.meaning(report),
+        answers=_answers(report),
+        changes=advice.changes(report),
         no_attribute=advice.NO_ATTRIBUTE,
         next_step=advice.next_step(report),
         repair=words.after_name(report),
@@ -126,12 +107,12 @@ def page(
         untested=tables.untested_rows(report),
         data=tables.data_rows(report),
         verdicts=tables.verdict_rows(),
-        terms=outcome.TERMS,
+        terms=words.TERMS,
         effects_yaml=effects_yaml.strip(),
     )
 
 
-def _answers(report: Report, context: ReportContext) -> list[ReportAnswer]:
+def _answers(report: Report) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
     sentences = (
         words.closure_sentence(report),
@@ -140,7 +121,7 @@ def _answers(report: Report, context: ReportContext) -> list[ReportAnswer]:
         words.learned_sentence(report),
     )
     closure = " ".join(filter(None, sentences))
-    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), advice.next_motion(report, context))))
+    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
     return [
         ReportAnswer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
         ReportAnswer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),
