@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.compare import BLUNT, UNSURE, is_tied
-from candata.gap.folds import cross_fit
 from candata.gap.moves import MOVES, Move
-from candata.gap.moves.view import View
-from candata.gap.own_floor import rescored
+from candata.gap.moves._view import View
+from candata.gap.own_floor import in_units, rescored
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem, key_of
 from candata.gap.shortlist import brief
@@ -95,14 +94,14 @@ def search(problem: Problem, first: Fit, alone: Responses, ends: Callable[[Probl
     alone : sequence of (Candidate, Curve or Plane)
         Every effect alone on a few episodes.
     ends : callable
-        Asked once about each set that leaves a gap and that no proposal takes the place of, in units of its own world:
-        the search ends where it returns true, else it looks ahead.
+        Asked once about an incumbent that leaves a gap, in units of its own world, where larger sets promise little or
+        none takes its place. The search ends if it returns true.
     """
     world, best = rescored(problem, first)
     state = Search(problem, world, best)
     front, is_asked = [best], False
     for _ in range(ROUNDS):
-        world.sofar.best = state.incumbent
+        problem.sofar.best = state.incumbent
         state, shown = _shown(state, front, alone, tuple(MOVES.values()))
         if state.remains and not is_asked and not shown.promises():
             is_asked = True
@@ -156,16 +155,6 @@ def aliases(problem: Problem, best: Fit, rivals: Sequence[Fit]) -> list[Fit]:
     return []
 
 
-def in_units(fit: Fit, old: Problem, new: Problem) -> Fit:
-    """Return a fit in units of the floor of another problem, held out again in these."""
-    if old is new:
-        return fit
-    factor = np.where(new.score.mask, old.score.sigma / new.score.sigma, 0).astype(np.float32)
-    response = fit.response.rescaled(factor)
-    evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
-    return replace(fit, response=response, evidence=evidence)
-
-
 def _crowned(state: Search, fit: Fit) -> Search:
     """Return the search with another incumbent, in units of the floor of its world."""
     world, best = rescored(state.root, in_units(fit, state.world, state.root))
@@ -214,8 +203,7 @@ def _shown(state: Search, front: Sequence[Fit], alone: Responses, moves: Sequenc
     world = state.world
     part, index = brief(world)
     views = [View(state.root, world, part, index, fit, alone, state.remains) for fit in front]
-    known = {*state.seen, *state.visited}
-    proposed = [m for view in views for move in moves for m in move(view) if key_of(m) not in known]
+    proposed = [m for view in views for move in moves for m in move(view) if key_of(m) not in state.seen]
     zs = part.residuals([part.setting(members) for members in proposed]) if proposed else []
     losses = [float(part.score.loss(z).mean()) for z in zs]
     order = sorted(zip(losses, proposed, strict=True), key=lambda pair: -pair[0])

@@ -27,10 +27,15 @@ def judged(problem: Problem, fit: Fit) -> Grown:
 def rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
     """Return problem and fit in units of the floor of the fitted world."""
     new = in_world(problem, best.members)
-    factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
-    response = best.response.rescaled(factor)
+    return new, in_units(best, problem, new)
+
+
+def in_units(fit: Fit, old: Problem, new: Problem) -> Fit:
+    """Return a fit in units of the floor of another problem, held out again in these."""
+    factor = np.where(new.score.mask, old.score.sigma / new.score.sigma, 0).astype(np.float32)
+    response = fit.response.rescaled(factor)
     evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
-    return new, replace(best, response=response, evidence=evidence)
+    return replace(fit, response=response, evidence=evidence)
 
 
 def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Problem:

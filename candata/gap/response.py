@@ -176,15 +176,6 @@ class Plane:
         """Return `(E, K)` residuals at coordinates `u (d,)`."""
         return self.z + np.tensordot((u - self.at).astype(np.float32), self.slope, 1)
 
-    def held(self, own: NDArray[np.bool_], at: Array) -> Plane:
-        """Return the plane of the other coordinates, where its `own (d,)` stand at coordinates `at (d,)`."""
-        z = self.read(np.where(own, at, self.at))
-        return Plane(self.low[~own], self.high[~own], self.at[~own], z, self.slope[~own])
-
-    def least(self) -> Compact:
-        """Return `(E, K)` residuals at the best coordinates for all episodes."""
-        return self.read(self.best(np.arange(len(self.z))))
-
     def fitter(self, score: Score) -> Fitter:
         """Return the function that gives the best coordinates `(d,)` for training episodes, or the reference.
 

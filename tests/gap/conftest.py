@@ -211,18 +211,6 @@ def white_score(one_phase) -> Callable[..., Score]:
     return make
 
 
-@pytest.fixture(scope="module")
-def two_causes(arm, arm_episodes, planted) -> tuple[Problem, np.ndarray]:
-    """The problem that an arm with two causes poses, and its base loss."""
-    effects = (
-        *planted("joint_dry_friction", frictionloss_Nm=0.3),
-        *planted("actuation_delay", delay_s=0.03),
-    )
-    recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = step_problem(arm, recs)
-    return problem, problem.score.loss(problem.nominal)
-
-
 def members(arm: Scene, **values: float) -> Members:
     """Scalar effects at their values, as the members of a set."""
     return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())

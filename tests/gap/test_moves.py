@@ -10,8 +10,8 @@ import pytest
 
 from candata.gap.candidates import candidate
 from candata.gap.moves import MOVES
+from candata.gap.moves._view import View
 from candata.gap.moves.split import SHARES
-from candata.gap.moves.view import View
 from candata.gap.search import Fit, key_of
 from candata.gap.shortlist import brief
 from candata.scenes import load_scene

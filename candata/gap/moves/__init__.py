@@ -1,28 +1,17 @@
-"""Moves: how a search comes from one set of effects to others. A file each; `MOVES` holds them all.
+"""Moves: how a search comes from one set of effects to others. One file each; the folder is the registry.
 
-A move is a function `propose(view)` that yields sets with the values to begin at. It simulates nothing on all
-episodes, compares nothing and knows no other move: which sets are worth a closer look is the agenda's business.
+A move is a function `propose(view)` that yields sets with the values to begin at. It simulates a few episodes at most,
+compares nothing and knows no other move: which sets are worth a closer look is the agenda's business.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from candata.gap.moves.add import propose as propose_add
-from candata.gap.moves.drop import propose as propose_drop
-from candata.gap.moves.exchange import propose as propose_exchange
-from candata.gap.moves.pair import propose as propose_pair
-from candata.gap.moves.place import propose as propose_place
-from candata.gap.moves.split import propose as propose_split
-from candata.gap.moves.view import View
+from candata.gap.moves._view import View
 from candata.gap.search import Members
+from candata.plugins import load, names
 
 Move = Callable[[View], Iterator[Members]]
-MOVES: dict[str, Move] = {
-    "add": propose_add,
-    "pair": propose_pair,
-    "split": propose_split,
-    "exchange": propose_exchange,
-    "drop": propose_drop,
-    "place": propose_place,
-}
+#: The `propose` of each file, by the file's name.
+MOVES: dict[str, Move] = {name: load(__name__, "propose", name) for name in names(__name__)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from candata.gap.moves.view import View, free
+from candata.gap.moves._view import View, free
 from candata.gap.search import Members
 
 

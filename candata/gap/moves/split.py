@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from candata.gap.moves.view import View, free
+from candata.gap.moves._view import View, free
 from candata.gap.search import Members
 from candata.gap.shortlist import brief, fitted
 

@@ -86,14 +86,10 @@ class View:
     def beside(self, held: Members) -> list[Sum]:
         """Return some members of the set with each other effect, by what signatures promise, the best first."""
         kept = [piece for piece in self.pieces if any(piece[0] is c for c, _ in held)]
-        here = self.here if len(held) == len(self.members) else self._without(held)
+        here = self.here if len(held) == len(self.members) else self.part.at(held)
         others = self._responses(here, held)
         kept = [(c, Plane(r.low, r.high, r.at, here, r.slope)) for c, r in kept]  # type: ignore[union-attr]
         return beside(self.part, here, kept, others)
-
-    def _without(self, held: Members) -> Compact:
-        """Return residuals `(e, K)` with some members alone."""
-        return self.part.at(held)
 
     def _responses(self, here: Compact, held: Members) -> Responses:
         """Return the responses of all effects, and of promising variants on one element, on top of some members."""
