@@ -87,7 +87,7 @@ def attribute(problem: Problem) -> Attribution:
 
 def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     """Return what the searches find, one after another where they leave much."""
-    found = _search(problem, look(problem, problem.nominal, ()), doubt)
+    found = _search(problem, look(problem), doubt)
     if found.force:
         return found
     share, floors = _left(problem, found)
@@ -106,7 +106,7 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     if seeing is None:
         return found
     problem, held = seeing
-    first = look(problem, problem.nominal, (), found.first)
+    first = look(problem, found.first)
     if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
         # What the few most telling episodes promised, the others do not keep.
         return found

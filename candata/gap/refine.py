@@ -23,9 +23,6 @@ Array = NDArray[np.float64]
 World = Callable[[Array], Members]
 #: First fits that must have been simulated where they are, and most rounds of simulations of one of them.
 FRONT, TRIES = 4, 3
-#: First fits that are simulated even if signatures promise nothing: beside other causes they say little. Alone, where
-#: signatures were made, only the first.
-ALWAYS = 2
 #: Share of the best gain below which what signatures promise is too little to be looked at. Chosen: signatures are
 #: off by a tenth or so.
 PROMISE = 0.5
@@ -61,18 +58,17 @@ FARTHER = 4.0
 BRACKET = 0.1
 
 
-def refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> list[Fit]:
+def refined(problem: Problem, fits: list[Fit], base: Array) -> list[Fit]:
     """Return single fits, best held-out gain first, the first of them simulated on the recording where they are."""
     tries: dict[str, int] = {}
-    always = ALWAYS if held else 1
     while True:
-        front = [f for i, f in enumerate(fits[:FRONT]) if i < always or f.gain > PROMISE * fits[0].gain]
+        front = [f for i, f in enumerate(fits[:FRONT]) if i == 0 or f.gain > PROMISE * fits[0].gain]
         todo = [f for f in front if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
         if not todo:
             return fits
         for f in todo:
             tries[f.labels[0]] = tries.get(f.labels[0], 0) + 1
-        done = {f.labels[0]: f for f in _simulated(problem, todo, base, held)}
+        done = {f.labels[0]: f for f in _simulated(problem, todo, base)}
         fits = sorted((done.get(f.labels[0], f) for f in fits), key=lambda f: -f.gain)
 
 
@@ -101,19 +97,17 @@ def _close(c: Candidate, u: Array) -> Array:
     return np.maximum(CLOSE * np.abs(u - c.neutral), CLOSE_RANGE * (c.high - c.low))
 
 
-def _simulated(problem: Problem, fits: Sequence[Fit], base: Array, held: Members) -> list[Fit]:
+def _simulated(problem: Problem, fits: Sequence[Fit], base: Array) -> list[Fit]:
     """Return fits after simulations at their coordinates: scalars in one batch, vectors by shares of their step."""
     curves = [f for f in fits if isinstance(f.response, Curve)]
-    out = _with_points(problem, curves, [_points(f) for f in curves], base, held)
-    return out + [_stepped(problem, f, base, held) for f in fits if isinstance(f.response, Plane)]
+    out = _with_points(problem, curves, [_points(f) for f in curves], base)
+    return out + [_stepped(problem, f, base) for f in fits if isinstance(f.response, Plane)]
 
 
-def _with_points(
-    problem: Problem, fits: Sequence[Fit], points: Sequence[Sequence[Array]], base: Array, held: Members
-) -> list[Fit]:
+def _with_points(problem: Problem, fits: Sequence[Fit], points: Sequence[Sequence[Array]], base: Array) -> list[Fit]:
     """Return scalar fits with more coordinates simulated on the recording."""
     flat = [(f.members[0][0], u) for f, some in zip(fits, points, strict=True) for u in some]
-    zs = iter(problem.residuals([problem.setting((*held, member)) for member in flat]))
+    zs = iter(problem.residuals([problem.setting((member,)) for member in flat]))
     out = []
     for fit, some in zip(fits, points, strict=True):
         response = fit.curve.with_probes(np.concatenate(some), np.stack([next(zs) for _ in some]))
@@ -121,11 +115,11 @@ def _with_points(
     return out
 
 
-def _stepped(problem: Problem, fit: Fit, base: Array, held: Members) -> Fit:
+def _stepped(problem: Problem, fit: Fit, base: Array) -> Fit:
     """Return a vector's fit moved to the best simulated share of its step; flat where no share helps."""
     c, plane = fit.members[0][0], fit.plane
     target = plane.best(np.arange(len(base)))
-    moved = stepped(problem, plane, target, lambda u: (*held, (c, u)))
+    moved = stepped(problem, plane, target, lambda u: ((c, u),))
     return fit_one(problem, c, replace(moved, slope=np.zeros_like(moved.slope)) if moved is plane else moved, base)
 
 
@@ -315,4 +309,4 @@ def _mirrored(problem: Problem, best: Fit, base: Array) -> Members:
 def _at(problem: Problem, fit: Fit, points: Sequence[Array], base: Array) -> Fit:
     """Return a scalar's fit with coordinates simulated on the recording that were not yet."""
     new = [p for p in points if not fit.curve.was_simulated(p)]
-    return _with_points(problem, [fit], [new], base, ())[0] if new else fit
+    return _with_points(problem, [fit], [new], base)[0] if new else fit

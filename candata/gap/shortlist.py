@@ -27,10 +27,9 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 FEW, WORTHWHILE = 6, 2
 #: Most episodes of one task among those that are most telling. Chosen.
 EACH = 3
-#: Share of the best gain on those from which a candidate is looked at in full: alone, and beside others, where
-#: signatures say less. (Of 52 drawn single causes that could be seen, 50 gained 0.58 of the best at least, and one so
-#: much only where it was fitted.)
-ALONE, BESIDE = 0.4, 0.2
+#: Share of the best gain on those from which a candidate is looked at in full, by signatures and where each is
+#: simulated on the recording. Source: 50 of 52 drawn single causes gained 0.58 of the best at least, by signatures.
+ALONE, PLAYED = 0.4, 0.2
 #: Fewest and most such candidates, and the most where each is simulated on the recording.
 LEAST, MOST, SIMULATED = 3, 8, 4
 #: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all,
@@ -70,36 +69,32 @@ class Screened:
     rough: Responses = field(default_factory=list)
 
 
-def screened(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array) -> Screened:
-    """Return the responses of the candidates that are worth it, on top of the residuals `here (E, K)`.
+def screened(problem: Problem, found: Sequence[Candidate], base: Array) -> Screened:
+    """Return the responses of the candidates that are worth it alone.
 
     Looked at are the candidates found and promising variants of them on one element.
 
     Parameters
     ----------
     problem : Problem
-    here : (E, K) float32
-        Normalised residuals without another effect.
     found : sequence of Candidate
-    held : Members
-        Effects that act already.
     base : (E,) float64
-        Typical loss without another effect, in floors.
+        Typical loss without any, in floors.
     """
     part, index = brief(problem)
     if part is problem:
-        responses, dead = _all(problem, here, found, held, base)
+        responses, dead = _all(problem, found, base)
         return Screened(responses, dead, (), len(responses))
-    closing = _closing(part, here[index], found, held)
-    rough, dead = _all(part, here[index], closing, held, base[index])
-    kept = _best(part, rough, base[index], BESIDE if held or problem.simulated else ALONE)
-    responses, _ = respond(problem, here, kept, held)
+    closing = _closing(part, part.nominal, found, ())
+    rough, dead = _all(part, closing, base[index])
+    kept = _best(part, rough, base[index], PLAYED if problem.simulated else ALONE)
+    responses, _ = respond(problem, problem.nominal, kept)
     told = {*(c.label for c in kept), *dead}
     faint = tuple(c.label for c in found if c.element is None and c.label not in told)
     return Screened(responses, dead, faint, len(rough) + len(found) - len(closing), rough)
 
 
-def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -> Screened:
+def reconsidered(problem: Problem, seen: Screened, base: Array) -> Screened:
     """Return a screen with more of its candidates on every episode: also those that close a share of the few.
 
     What closes next to nothing of the episodes that it is fitted to does not explain the others either.
@@ -111,23 +106,20 @@ def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -
         for c, r in seen.rough
         if (c.element or c.label in seen.faint) and fitted(part, r, base[index])[0] <= least
     }
-    responses, _ = respond(problem, here, [c for c, _ in seen.rough if c.label not in left_out])
+    responses, _ = respond(problem, problem.nominal, [c for c, _ in seen.rough if c.label not in left_out])
     return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name in left_out))
 
 
-def _all(
-    problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array
-) -> tuple[Responses, tuple[str, ...]]:
+def _all(problem: Problem, found: Sequence[Candidate], base: Array) -> tuple[Responses, tuple[str, ...]]:
     """Return the responses of all candidates and of promising variants of them, and the labels of dead ones.
 
     Where each is simulated on the recording, variants would cost too much: the search by signatures has tried them.
     """
-    responses, dead = respond(problem, here, found, held)
+    here = problem.nominal
+    responses, dead = respond(problem, here, found)
     if problem.simulated:
         return responses, tuple(dead)
-    acting = {c.label for c, _ in held}
-    variants = [v for v in promising(problem, here, responses, base) if v.label not in acting]
-    responses += respond(problem, here, variants, held)[0]
+    responses += respond(problem, here, promising(problem, here, responses, base))[0]
     return responses, tuple(dead)
 
 

@@ -127,13 +127,13 @@ class Stage:
         return min(best.gain, float(self.base.mean()) - self.reachable)
 
 
-def look(problem: Problem, here: Compact, held: Members, before: Stage | None = None) -> Stage:
-    """Return every candidate's held-out evidence on top of the effects held.
+def look(problem: Problem, before: Stage | None = None) -> Stage:
+    """Return every candidate's held-out evidence alone.
 
-    `before` is an earlier look at the same place, whose typical loss holds still.
+    `before` is an earlier look, whose typical loss holds still.
     """
-    base, luck = (before.base, before.luck) if before else typical(problem, here, held)
-    return _judged(problem, screened(problem, here, unheld(problem, held), held, base), base, luck, held)
+    base, luck = (before.base, before.luck) if before else typical(problem)
+    return _judged(problem, screened(problem, unheld(problem, ()), base), base, luck)
 
 
 def as_simulated(problem: Problem, stage: Stage) -> Sequence[tuple[Candidate, Curve | Plane]]:
@@ -153,15 +153,15 @@ def as_simulated(problem: Problem, stage: Stage) -> Sequence[tuple[Candidate, Cu
 def look_again(problem: Problem, before: Stage) -> Stage:
     """Return the evidence of a first look with more candidates on every episode: all that could explain much."""
     seen = Screened([], before.dead, before.faint, len(before.rough), list(before.rough))
-    return _judged(problem, reconsidered(problem, problem.nominal, seen, before.base), before.base, before.luck, ())
+    return _judged(problem, reconsidered(problem, seen, before.base), before.base, before.luck)
 
 
-def _judged(problem: Problem, seen: Screened, base: Array, luck: Array, held: Members) -> Stage:
+def _judged(problem: Problem, seen: Screened, base: Array, luck: Array) -> Stage:
     """Return the evidence of what a screen leaves, refined."""
     responses = [r for _, r in seen.responses]
-    rng = problem.stream("null threshold", problem.setting(held), [c.label for c, _ in seen.responses])
+    rng = problem.stream("null threshold", (), [c.label for c, _ in seen.responses])
     threshold = null_threshold(responses, problem.score, problem.parts, luck, rng, seen.tried)
-    found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
+    found_fits = refined(problem, _fits(problem, seen.responses, base), base)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
     absent = [f.members[0][0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1])]
     idle = tuple(c.label for c in absent if c.element is None)
@@ -191,7 +191,7 @@ def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
     unknown = [v for v in _kin(problem, best, stage) if v.label not in known]
     near = rivals(problem, here, unknown, stage.base, best) if unknown else []
     responses = respond(problem, here, near)[0] if near else []
-    found += refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
+    found += refined(problem, _fits(problem, responses, stage.base), stage.base) if responses else []
     new = {f.labels[0]: f for f in found if not f.members[0][0].is_neutral(f.members[0][1])}
     fits = [*new.values(), *(f for f in stage.fits if f.labels[0] not in new)]
     return replace(stage, fits=tuple(sorted(fits, key=lambda f: -f.gain)))
@@ -312,11 +312,10 @@ def _starts(problem: Problem, name: str, *worlds: EffectSet) -> list[Starts]:
     return [perturbed(problem.replayer, problem.begin, problem.noise, rng) for _ in range(STARTS)]
 
 
-def typical(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
+def typical(problem: Problem) -> tuple[Array, Array]:
     """Return the typical loss `(E,)` over starts that are equally possible, and the luck `(J, E)` of each."""
-    world = problem.setting(held)
-    others = problem.losses_from(_starts(problem, "starts of a look", world), [world])[:, 0]
-    losses = np.concatenate([problem.score.loss(here)[None], others])
+    others = problem.losses_from(_starts(problem, "starts of a look", ()), [()])[:, 0]
+    losses = np.concatenate([problem.score.loss(problem.nominal)[None], others])
     base = np.median(losses, axis=0)
     return base, base - losses
 

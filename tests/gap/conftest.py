@@ -240,7 +240,7 @@ def arm_search(arm, arm_episodes) -> Callable[..., tuple[Problem, Responses]]:
         problem = step_problem(arm, recordings(arm, arm_episodes(effects, count=12, rows=120)))
         others = {c.name for c in candidates(arm, problem.recs.channels)} - SEARCHED
         problem = replace(problem, ruled_out=problem.ruled_out | others)
-        return problem, as_simulated(problem, look(problem, problem.nominal, ()))
+        return problem, as_simulated(problem, look(problem))
 
     return pose
 

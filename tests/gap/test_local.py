@@ -25,7 +25,7 @@ def variants(arm, arm_episodes, planted):
         problem = _problem(Replayer(arm), recs, Streams(0), None, lambda stage: None)
         nominal = problem.nominal
         responses, _ = respond(problem, nominal, candidates(arm, list(recs.readings)))
-        base, _ = typical(problem, nominal, ())
+        base, _ = typical(problem)
         return {c.label for c in promising(problem, nominal, responses, base)}
 
     return find

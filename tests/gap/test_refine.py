@@ -59,7 +59,7 @@ def test_beside_nothing_an_effect_that_promises_little_is_not_simulated(problem,
     fits, base = alone(problem, "joint_dry_friction", "armature")
     fits.sort(key=lambda f: -f.gain)
     assert fits[1].gain < refine.PROMISE * fits[0].gain
-    refine.refined(problem, fits, base, ())
+    refine.refined(problem, fits, base)
     assert {*rollouts} == {("joint_dry_friction",)}
 
 

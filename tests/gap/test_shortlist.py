@@ -73,9 +73,9 @@ def test_where_all_is_simulated_the_episodes_that_leave_most_come_first(posed):
 
 
 def test_the_cause_is_on_the_list_and_the_others_are_named(posed, arm):
-    base, _ = typical(posed, posed.nominal, ())
+    base, _ = typical(posed)
     found = candidates(arm, list(posed.recs.readings))
-    seen = screened(posed, posed.nominal, found, (), base)
+    seen = screened(posed, found, base)
     labels = {c.label for c, _ in seen.responses}
     assert "joint_damping" in labels
     assert len(labels) <= MOST + FITTED
@@ -85,17 +85,17 @@ def test_the_cause_is_on_the_list_and_the_others_are_named(posed, arm):
 
 
 def test_a_second_look_leaves_out_only_what_closes_next_to_nothing_where_it_is_fitted(posed, arm, monkeypatch):
-    base, _ = typical(posed, posed.nominal, ())
+    base, _ = typical(posed)
     found = candidates(arm, list(posed.recs.readings))
     part, index = brief(posed)
-    first = screened(posed, posed.nominal, found, (), base)
+    first = screened(posed, found, base)
     before = {c.label for c, _ in first.responses if c.element is None}
     fitted = {c.label: shortlist.fitted(part, r, base[index])[0] for c, r in first.rough}
     left = float((base[index] - 1).mean())
     size = []
     for share in (-np.inf, 0.1, np.inf):
         monkeypatch.setattr("candata.gap.shortlist.WORTH", share)
-        seen = reconsidered(posed, posed.nominal, first, base)
+        seen = reconsidered(posed, first, base)
         labels = {c.label for c, _ in seen.responses}
         assert labels == {name for name, gain in fitted.items() if gain > share * left} | before
         assert {c.label for c in found} == {n for n in labels if " " not in n} | set(seen.faint) | set(seen.dead)
@@ -131,7 +131,7 @@ def test_a_vector_gains_what_it_does_where_it_was_simulated(posed, arm):
 
 def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch):
     """Held out, a vector may fail for want of episodes alone."""
-    base, _ = typical(posed, posed.nominal, ())
+    base, _ = typical(posed)
     found = candidates(arm, list(posed.recs.readings))
     part, index = brief(posed)
     responses, _ = respond(part, part.nominal, found)
@@ -141,14 +141,14 @@ def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch)
     first = sorted(fitted, key=lambda name: -fitted[name])[:FITTED]
     for share, wanted in ((0.0, first), (0.999, first[:1])):
         monkeypatch.setattr("candata.gap.shortlist.ALONE", share)
-        labels = {c.label for c, _ in screened(posed, posed.nominal, found, (), base).responses}
+        labels = {c.label for c, _ in screened(posed, found, base).responses}
         assert set(wanted) <= labels
         assert len(labels) <= 1 + len(wanted)
 
 
 def test_before_a_cause_is_called_unknown_more_is_looked_at(posed, monkeypatch):
-    def blind(problem, here, found, held, base):
-        seen = screened(problem, here, found, held, base)
+    def blind(problem, found, base):
+        seen = screened(problem, found, base)
         poor = [(c, r) for c, r in seen.responses if c.name == "object_mass"]
         return replace(seen, responses=poor, faint=("joint_damping",))
 

@@ -32,7 +32,7 @@ def problem(arm, arm_episodes, planted):
 @pytest.fixture(scope="module")
 def poor(problem):
     """A search that names nothing."""
-    return Attribution(look(problem, problem.nominal, ()), None, (), problem.score, True)
+    return Attribution(look(problem), None, (), problem.score, True)
 
 
 def searches(monkeypatch, *, first, second):
@@ -140,7 +140,7 @@ def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(probl
     for gain, again in ((0.9 * promised, False), (1.1 * promised, True)):
         evidence = SimpleNamespace(gain=np.full(12, gain))
         stage = replace(poor.first, fits=(SimpleNamespace(gain=gain, evidence=evidence),))
-        monkeypatch.setattr(attribution, "look", lambda problem, here, held, before=None, stage=stage: stage)
+        monkeypatch.setattr(attribution, "look", lambda problem, before=None, stage=stage: stage)
         made.clear()
         found = attribute(problem)
         assert made == [False, True][: 1 + again]
@@ -236,7 +236,7 @@ def test_simulated_responses_are_what_rollouts_leave(arm, problem):
 def test_where_all_is_simulated_only_the_fewest_are_on_every_episode_and_none_on_one_element(problem):
     base = problem.score.loss(problem.nominal)
     found = unheld(problem, ())
-    seen = screened(replace(problem, simulated=True), problem.nominal, found, (), base)
+    seen = screened(replace(problem, simulated=True), found, base)
     assert len(seen.responses) == SIMULATED < seen.tried
     assert all(c.element is None for c, _ in seen.responses)
     assert "joint_dry_friction" in {c.name for c, _ in seen.responses}
@@ -244,7 +244,7 @@ def test_where_all_is_simulated_only_the_fewest_are_on_every_episode_and_none_on
 
 def test_what_closes_next_to_nothing_where_it_is_simulated_is_not_looked_at_further(problem, monkeypatch):
     monkeypatch.setattr(shortlist, "TRIED", 1.01)
-    stage = look(replace(problem, simulated=True), problem.nominal, ())
+    stage = look(replace(problem, simulated=True))
     assert stage.fits == ()
     assert stage.passing() is None
     assert "joint_dry_friction" in stage.faint
@@ -262,7 +262,7 @@ def test_what_closes_next_to_nothing_of_half_is_not_simulated_on_the_other_half(
     monkeypatch.setattr(shortlist, "SILENT", 0.0 if silent else -np.inf)
     posed = replace(problem, simulated=True, played={})
     found = [candidate(name, scene) for name in ("joint_dry_friction", "clock_drift", "time_step")]
-    seen = screened(posed, problem.nominal, found, (), problem.score.loss(problem.nominal))
+    seen = screened(posed, found, problem.score.loss(problem.nominal))
 
     def episodes(name):
         return len({i for text, i in posed.played if f'"{name}"' in text})

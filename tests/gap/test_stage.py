@@ -52,7 +52,7 @@ def test_a_fault_of_one_element_brings_its_neighbours_and_other_effects_there(
     arm, posed, name, element, parameters, wrong
 ):
     problem = posed(name, element, **parameters)
-    base, luck = typical(problem, problem.nominal, ())
+    base, luck = typical(problem)
     ((c, curve),) = respond(problem, problem.nominal, [candidate(wrong[0], arm, wrong[1])])[0]
     first = staging.fit_one(problem, c, curve, base)
     found = narrowed(problem, problem.nominal, staging.Stage(base, luck, (first,), 0.0, (), (), (), 0.0))

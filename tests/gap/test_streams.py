@@ -57,7 +57,7 @@ def problem(arm, arm_episodes, planted):
 
 def answers(problem, world) -> list[np.ndarray]:
     """Floors, levels, thresholds, null recordings, intervals and shares, of a set and of the nominal world."""
-    own, first = in_world(problem, world), look(problem, problem.nominal, ())
+    own, first = in_world(problem, world), look(problem)
     best = first.fits[0]
     return [
         own.score.floor,

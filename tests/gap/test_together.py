@@ -29,7 +29,7 @@ def posed(arm, arm_episodes, planted, tmp_path_factory):
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, Streams(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True)
-    return problem, look(problem, problem.nominal, ())
+    return problem, look(problem)
 
 
 def names(members):

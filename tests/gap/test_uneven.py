@@ -27,7 +27,7 @@ def torn(arm, arm_episodes, planted):
         arm_episodes(planted("actuation_delay", delay_s=OTHERS if i % 3 == 0 else MOST), count=12)[i] for i in range(12)
     ]
     problem = _problem(Replayer(arm), recordings(arm, episodes), Streams(0), None, lambda stage: None)
-    stage = look(problem, problem.nominal, ())
+    stage = look(problem)
     (fit,) = [f for f in stage.fits if f.labels == ("actuation_delay",)]
     between = replace(fit, members=((fit.members[0][0], np.array([(MOST + OTHERS) / 2])),))
     return problem, replace(stage, fits=(between, *(f for f in stage.fits if f is not fit)))
@@ -94,7 +94,7 @@ def delayed(arm, arm_episodes, planted):
     """The problem that a delay poses, its evidence alone, and another effect's."""
     episodes = arm_episodes(planted("actuation_delay", delay_s=MOST), count=12)
     problem = _problem(Replayer(arm), recordings(arm, episodes), Streams(0), None, lambda stage: None)
-    stage = look(problem, problem.nominal, ())
+    stage = look(problem)
     return problem, stage, next(f for f in stage.fits if f.labels != ("actuation_delay",))
 
 
