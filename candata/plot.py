@@ -23,7 +23,8 @@ from candata.reports.envelope import runs
 from candata.reports.inspection import units_of
 from candata.reports.lanes import USUAL_CHANNELS, Lane, lanes
 from candata.reports.numbers import percent
-from candata.reports.words import effect_title, headline, readable_name
+from candata.reports.outcome import headline
+from candata.reports.words import effect_title, readable_name
 from candata.schema.channels import DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.json_text import read_json

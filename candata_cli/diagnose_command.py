@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from candata.datasets import Dataset
     from candata.gap import Diagnosis
+    from candata.reports import ReportContext
     from candata.scenes import Scene
 
 VERDICTS = (
@@ -108,7 +109,7 @@ def diagnose(
     _refuse_pairs(edit, edit_scene, against, cache_dir, keep, run, effects, shared_signatures)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as find
-    from candata.reports import summary
+    from candata.reports import report_context, summary
 
     world = _nominal(scene, effects)
     edit_data = None if edit is None else _edit_data(edit, edit_scene, world, effects)
@@ -129,14 +130,14 @@ def diagnose(
             ends=stage.ends,
         )
         stage.ends(None)
-        page = _write_report(diagnosis, world, out, stage)
+        context = report_context(diagnosis, world, out)
+        page = _write_report(diagnosis, world, context, stage)
     if edit_data is not None or run is not None:
         with console.stoppable(f"the report without --edit and --run stands in {out}"), console.stages() as stage:
-            if edit_data is not None:
-                diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
+            diagnosis = diagnosis if edit_data is None else _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
             diagnosis = diagnosis if run is None else _with_model(diagnosis, run, data, scene, stage)
-            page = _write_report(diagnosis, world, out, stage)
-    console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report))
+            page = _write_report(diagnosis, world, context, stage)
+    console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report, context))
     console.note(f"report: {page}")
     if diagnosis.report.verdict in failing_verdicts:
         raise typer.Exit(1)
@@ -197,12 +198,12 @@ def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:
     return (cache_dir or user_cache()) if keep else None
 
 
-def _write_report(diagnosis: Diagnosis, scene: Scene, out: Path, stage: Callable[[str], None]) -> Path:
+def _write_report(diagnosis: Diagnosis, scene: Scene, context: ReportContext, stage: Callable[[str], None]) -> Path:
     """Return the page of a report after writing its files."""
     from candata.reports import write_diagnosis
 
     stage("writing the report")
-    return write_diagnosis(diagnosis, scene, out)
+    return write_diagnosis(diagnosis, scene, context.folder, context)
 
 
 def _verdicts(text: str) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy as duplicate
@@ -111,6 +112,20 @@ def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> Mj
         _write(export, copy, diff)
         place(copy.folder, out)
     return export
+
+
+def mjcf_changes(scene: Scene, effects: Sequence[EffectSetting]) -> tuple[Change, ...]:
+    """Return the attributes of a scene's MJCF that the effects change, as `export_mjcf` writes them; nothing is kept.
+
+    Raises
+    ------
+    UsageError
+        When an effect cannot act in the scene.
+    SceneError
+        When the scene's model cannot be written at all.
+    """
+    with tempfile.TemporaryDirectory(prefix="candata-mjcf-") as folder:
+        return export_mjcf(scene, effects, Path(folder) / "model").changes
 
 
 @contextmanager

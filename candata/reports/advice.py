@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 
 from candata.effects import EFFECTS, effect, effect_names
 from candata.gap.verdict import FEWEST
@@ -11,13 +14,15 @@ from candata.reports.numbers import digits, format_estimate, unit_of
 from candata.schema.report import Estimate, NamedEffect, Report
 
 #: Said of an effect that MJCF has no attribute for.
-NO_ATTRIBUTE = "MJCF has no attribute for it: candata generate-sim --effects effects.yaml adds it"
+NO_ATTRIBUTE = "MJCF has no attribute for it, effects.yaml holds it"
 #: The record's words for a candidate whose probes changed nothing in the readings.
 NO_RESPONSE = "moves nothing in these motions"
 #: Reason of the record to the fuller one of the page.
 REASONS = {"best left out": "tested: the recordings fit best without it", NO_RESPONSE: f"not tested: it {NO_RESPONSE}"}
 #: Longest vector that is spelled out.
 MOST_NUMBERS = 6
+#: Names of files in the folder of a report.
+EFFECTS_FILE = "effects.yaml"
 
 
 @dataclass(frozen=True)
@@ -32,16 +37,54 @@ class SimulatorChange:
         return f"{self.instruction}; in MJCF: {self.mjcf}." if self.mjcf else f"{self.instruction}; {NO_ATTRIBUTE}."
 
 
-def changes(report: Report) -> list[SimulatorChange]:
+@dataclass(frozen=True)
+class ReportContext:
+    """What advice needs beside the record.
+
+    Attributes
+    ----------
+    folder : Path
+        Where the report's files lie, as seen from where its reader stands.
+    groups : mapping of str to tuple of str
+        The joints of each group of the scene.
+    mjcf_lines : tuple of str
+        The elements of the MJCF that the named effects change, as they are to be; empty where MJCF holds none of them.
+    """
+
+    folder: Path = Path()
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mjcf_lines: tuple[str, ...] = ()
+
+    def path(self, file: str) -> str:
+        """Return the path of a file of the report, as a shell takes it."""
+        return shlex.quote(str(self.folder / file))
+
+
+def changes(report: Report, context: ReportContext | None = None) -> list[SimulatorChange]:
     """Return what to change for each named effect, in the order of the record."""
-    return [change(effect_found) for effect_found in report.effects]
+    groups = None if context is None else context.groups
+    return [change(effect_found, groups) for effect_found in report.effects]
 
 
-def change(effect_found: NamedEffect) -> SimulatorChange:
-    """Return what to change for one named effect."""
+def commands(report: Report, context: ReportContext) -> list[tuple[str, str]]:
+    """Return commands that use the repair, as (what for, command); empty when no effect is named."""
+    if not report.effects:
+        return []
+    effects_file = context.path(EFFECTS_FILE)
+    repaired = [("simulate with it", f"candata generate-sim --effects {effects_file} --episodes 8 --out repaired")]
+    if context.mjcf_lines:
+        repaired.append(
+            ("write it into your MJCF", f"candata scene export --effects {effects_file} --out repaired_model")
+        )
+    return repaired
+
+
+def change(effect_found: NamedEffect, groups: Mapping[str, tuple[str, ...]] | None = None) -> SimulatorChange:
+    """Return what to change for one named effect; `groups` holds the joints of each group of the scene, if any."""
     values = [_value(effect_found, parameter, estimate) for parameter, estimate in effect_found.parameters.items()]
     text, si_numbers = words.enumeration([v for v, _ in values]), " ".join(r for _, r in values)
     element = effect_found.element
+    members = words.enumeration((groups or {}).get(element, ())) if element else ""
     all_joints = "every jaw" if any(e.unit for e in effect_found.parameters.values()) else "every driven joint"
     places = {
         "joint": f"joint {element}" if element else all_joints,
@@ -50,11 +93,22 @@ def change(effect_found: NamedEffect) -> SimulatorChange:
         "tip": f"fingertip {element}" if element else "every fingertip",
         "surface": f"{element}" if element else "object, fingertips and support",
     }
+    if members:
+        places |= {
+            "joint": f"joints {members} (group {element})",
+            "servo": f"the servos of {members} (group {element})",
+        }
     kind = EFFECTS.load(effect_found.name) if effect_found.name in EFFECTS else None
     if kind is None or kind.advice is None:
         about = f"{kind.about}, " if kind else ""
         return SimulatorChange(f"Add {words.effect_title(effect_found.name, element)}: {about}{text}", "")
     return SimulatorChange(kind.advice.change.format(x=text, **places), kind.advice.mjcf.format(raw=si_numbers))
+
+
+def next_motion(report: Report, context: ReportContext) -> str:
+    """Return what to record next, and the path of its commands; empty when nothing is proposed."""
+    file = report.next_motion.file if report.next_motion else None
+    return words.next_motion_sentence(report, context.path(file) if file else None)
 
 
 def next_step(report: Report) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -17,6 +18,14 @@ REPORT_CAMERA = "report"
 MARGIN, CENTRING_ROUNDS = 1.12, 4
 #: Geom groups that MuJoCo's viewers show by default: those below this number.
 SHOWN_GROUPS = 3
+#: Views that are tried, as azimuth and elevation [deg] of MuJoCo's free camera, the usual one first. Chosen: three
+#: quarters from each side, then the same from higher up.
+VIEWS = tuple((azimuth, elevation) for elevation in (-22.0, -50.0) for azimuth in (140.0, 50.0, 230.0, 320.0))
+#: Poses at which views are compared, and how much more of the object another view must show than the usual one [of 1].
+COMPARED_POSES, CLEARLY_MORE = 6, 0.15
+#: Points of a geom that are looked for: its centre and the corners of its box, this far out [of 1]. Chosen: they lie
+#: inside of a cylinder or an ellipsoid too.
+LOOKED_FOR = 0.5
 #: The eight corners of a box, (8, 3).
 SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
@@ -71,14 +80,20 @@ def choose_camera(
         return camera
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, REPORT_CAMERA) >= 0:
         return REPORT_CAMERA
-    return fit_camera(model, qpos, aspect)
+    cameras = [fit_camera(model, qpos, aspect, view) for view in VIEWS]
+    shares = _seen_shares(model, qpos, cameras)
+    clearest = int(np.argmax(shares))
+    return cameras[clearest if shares[clearest] > shares[0] + CLEARLY_MORE else 0]
 
 
-def fit_camera(model: mujoco.MjModel, qpos: Array, aspect: float) -> FreeCamera:
-    """Return the free camera that just holds all that moves over `qpos` (K, nq), centred."""
+def fit_camera(model: mujoco.MjModel, qpos: Array, aspect: float, view: tuple[float, float] = VIEWS[0]) -> FreeCamera:
+    """Return the free camera that just holds all that moves over `qpos` (K, nq), centred.
+
+    `view` is its azimuth and elevation [deg].
+    """
     points = _points(model, qpos)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    right_axis, up_axis, back_axis = _axes(FreeCamera((0.0, 0.0, 0.0), 1.0).direction).T
+    right_axis, up_axis, back_axis = _axes(FreeCamera((0.0, 0.0, 0.0), 1.0, *view).direction).T
     tan_y = math.tan(math.radians(model.vis.global_.fovy) / 2)
 
     def distance_to_hold(offsets: Array) -> float:
@@ -93,7 +108,39 @@ def fit_camera(model: mujoco.MjModel, qpos: Array, aspect: float) -> FreeCamera:
             slope = (offsets @ axis) / depth
             centre = centre + axis * distance * (slope.min() + slope.max()) / 2
     lookat = (float(centre[0]), float(centre[1]), float(centre[2]))
-    return FreeCamera(lookat, distance_to_hold(points - centre))
+    return FreeCamera(lookat, distance_to_hold(points - centre), *view)
+
+
+def _seen_shares(model: mujoco.MjModel, qpos: Array, cameras: Sequence[FreeCamera]) -> Array:
+    """Return how much of what moves freely each camera sees over `qpos` (K, nq), `(len(cameras),)` of 1.
+
+    All zero in a model without a body that moves freely.
+    """
+    free_bodies = model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]
+    is_object = np.isin(model.geom_bodyid, free_bodies)
+    geoms = np.flatnonzero(is_object & (model.geom_group < SHOWN_GROUPS) & (model.geom_rbound > 0))
+    shares = np.zeros(len(cameras))
+    if len(geoms) == 0:
+        return shares
+    data = mujoco.MjData(model)
+    shown_groups = (np.arange(mujoco.mjNGROUP) < SHOWN_GROUPS).astype(np.uint8)
+    chosen = np.unique(np.linspace(0, len(qpos) - 1, COMPARED_POSES).round().astype(int))
+    for pose in qpos[chosen]:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        offsets = np.concatenate([np.zeros((1, 3)), LOOKED_FOR * SIGNS])
+        boxes = model.geom_aabb[geoms, None, :3] + offsets * model.geom_aabb[geoms, None, 3:]
+        turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+        targets = (data.geom_xpos[geoms, None] + np.einsum("gij,gcj->gci", turn, boxes)).reshape(-1, 3)
+        for k, camera in enumerate(cameras):
+            position = np.array(camera.lookat) - camera.distance_m * camera.direction
+            rays = (targets - position).ravel()
+            hit, distance = np.empty(len(targets), np.int32), np.empty(len(targets))
+            mujoco.mj_multiRay(
+                model, data, position, rays, shown_groups, True, -1, hit, distance, None, len(targets), 1e6
+            )
+            shares[k] += np.mean((hit >= 0) & is_object[hit]) / len(chosen)
+    return shares
 
 
 def pinhole(model: mujoco.MjModel, data: mujoco.MjData, camera: str | FreeCamera) -> Pinhole:

@@ -11,6 +11,8 @@ from candata.datasets.writing import write_text
 from candata.gap import Diagnosis
 from candata.gap.proposal import MOTION_FILE
 from candata.policies import write_motions
+from candata.reports.advice import EFFECTS_FILE, ReportContext
+from candata.reports.mjcf_lines import mjcf_lines
 from candata.reports.page import write_report
 from candata.reports.words import calibration_sentence
 from candata.scenes import Scene
@@ -24,17 +26,18 @@ CALIBRATION = "calibration.yaml"
 COMMENT_WIDTH = 98
 
 
-def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
+def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path, context: ReportContext | None = None) -> Path:
     """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
 
     `motion.parquet` stands beside them where a motion is proposed, `learned_residual.yaml` where a force was fitted to
     what no effect explains, `calibration.yaml` where a joint fit closes more than what is named; those of an earlier
-    diagnosis go. Each file appears whole or not at all.
+    diagnosis go. Each file appears whole or not at all. `context` is that of `report_context`, made here by default.
     """
     text = effects_text(diagnosis.effects)
-    page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text)
+    context = context or report_context(diagnosis, scene, out)
+    page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text, context)
     write_text(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n", "report")
-    write_text(out / "effects.yaml", text, "report")
+    write_text(out / EFFECTS_FILE, text, "report")
     if diagnosis.motion:
         write_motions(out / MOTION_FILE, scene, diagnosis.motion)
     else:
@@ -46,6 +49,11 @@ def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
         else:
             write_text(out / name, content, "report")
     return page
+
+
+def report_context(diagnosis: Diagnosis, scene: Scene, out: Path) -> ReportContext:
+    """Return what advice needs beside the record of a report whose files lie in `out`."""
+    return ReportContext(out, scene.file.groups, mjcf_lines(scene, diagnosis))
 
 
 def _calibration_text(diagnosis: Diagnosis) -> str | None:

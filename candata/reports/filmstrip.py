@@ -5,9 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from candata.gap.evidence import Example
 from candata.reports.document import render
+from candata.reports.ghost import Ghost
 from candata.reports.png import data_uri
 from candata.reports.render import render_frames
 
@@ -28,7 +30,8 @@ def filmstrip(model: mujoco.MjModel | None, example: Example, repair: str) -> Ma
     steps = moments(example)
     if len(steps) == 0:
         return Markup("")
-    pictures = render_frames(model, np.concatenate([np.asarray(qpos)[steps] for *_, qpos in rows]), None, WIDTH, HEIGHT)
+    poses = np.concatenate([np.asarray(qpos)[steps] for *_, qpos in rows])
+    pictures = render_frames(model, poses, None, WIDTH, HEIGHT, _recorded_ghost(model, poses, len(steps)))
     frames = [data_uri(frame) for frame in pictures.frames]
     count = len(steps)
     return render(
@@ -38,6 +41,16 @@ def filmstrip(model: mujoco.MjModel | None, example: Example, repair: str) -> Ma
         width=WIDTH,
         height=HEIGHT,
         note=pictures.note,
+    )
+
+
+def _recorded_ghost(model: mujoco.MjModel, poses: NDArray[np.float64], count: int) -> Ghost:
+    """Return what moves in the recording as a ghost over the simulations; the recorded row, the first, has none."""
+    recorded = poses[:count]
+    rows = len(poses) // count - 1
+    is_moving = model.body_weldid[model.geom_bodyid] != 0
+    return Ghost(
+        tuple(np.flatnonzero(is_moving).tolist()), np.concatenate([np.full_like(recorded, np.nan), *[recorded] * rows])
     )
 
 

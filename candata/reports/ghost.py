@@ -13,6 +13,9 @@ from candata.reports.camera import SHOWN_GROUPS
 
 #: Colour of a ghost, and how much of it hides what lies behind (of 1). Chosen: hands, cans and tables are rarely pink.
 COLOUR, OPACITY = (0.90, 0.10, 0.65), 0.5
+#: How far a ghost must stand before what is solid to be seen [m]. Chosen: where both agree as well as trackers measure,
+#: the picture stays plain.
+CLEARANCE_M = 0.004
 #: Geom group that nothing shows, by MuJoCo's default visualisation options.
 HIDDEN_GROUP = mujoco.mjNGROUP - 1
 

@@ -45,7 +45,7 @@ class HeatRow:
 
 
 def heat_map(heat: HeatMap, clickable: frozenset[str]) -> Markup:
-    """Return channel element by phase: mismatch over its floor, log colour, hatched where there is no data.
+    """Return channel element by phase: mismatch over its floor, log colour, hatched where chance is not ruled out.
 
     Rows whose label is in `clickable` bear a button that shows the element's episodes.
     """
@@ -96,8 +96,13 @@ def _ratio_cell(ratio: float, p: float, top: float, phase: str) -> HeatCell:
     if not np.isfinite(ratio):
         return HeatCell("hole", tooltip=f"{phase}: no data")
     p_words = words.p_text(float(p)) if np.isfinite(p) else "not tested"
-    number = digits(float(f"{ratio:.2g}")) if np.isfinite(p) and p <= SIGNIFICANT_P else ""
-    return HeatCell(f"h{level(float(ratio), top)}", number, f"{phase}: {words.times_floor(float(ratio))}, {p_words}")
+    is_significant = bool(np.isfinite(p) and p <= SIGNIFICANT_P)
+    colour = f"h{level(float(ratio), top)}"
+    return HeatCell(
+        colour if is_significant else f"{colour} chance",
+        digits(float(f"{ratio:.2g}")) if is_significant else "",
+        f"{phase}: {words.times_floor(float(ratio))}, {p_words}",
+    )
 
 
 def _key(top: float) -> list[tuple[int, int]]:

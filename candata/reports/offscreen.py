@@ -14,8 +14,11 @@ from pathlib import Path
 #: Files of the folder that parent and child share.
 MODEL, POSES, REQUEST, FRAMES = "model.mjb", "qpos.npy", "request.json", "frames.npy"
 GHOST_MODEL, GHOST_POSES = "ghost.mjb", "ghost.npy"
-#: Least ambient light, and the background where a model has no sky of its own.
-AMBIENT, SKY = 0.35, (237, 240, 242)
+#: The only light: a lamp at the camera, so that every model is lit alike and no shadow hides the object. Chosen: no
+#: surface turned towards the camera saturates, none turned away is black.
+AMBIENT, DIFFUSE, SPECULAR = 0.6, 0.45, 0.1
+#: Background where a model has no sky of its own.
+SKY = (237, 240, 242)
 
 
 def main(folder: Path) -> None:
@@ -28,7 +31,9 @@ def main(folder: Path) -> None:
     width, height = 2 * request["width"], 2 * request["height"]
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.offsamples = 0  # smoothing is by the 2 x 2 mean below, background included
-    model.vis.headlight.ambient[:] = np.maximum(model.vis.headlight.ambient, AMBIENT)
+    headlight = model.vis.headlight
+    headlight.active, headlight.ambient[:], headlight.diffuse[:], headlight.specular[:] = 1, AMBIENT, DIFFUSE, SPECULAR
+    model.light_active[:] = 0
     has_no_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX not in model.tex_type
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
 
@@ -40,6 +45,13 @@ def main(folder: Path) -> None:
             pixels[renderer.render()[..., 0] < 0] = SKY
             renderer.disable_segmentation_rendering()
         return pixels
+
+    def depth_m() -> np.ndarray:
+        """Return how far away what the renderer's scene shows is, (H, W) [m]."""
+        renderer.enable_depth_rendering()
+        depth = renderer.render().copy()
+        renderer.disable_depth_rendering()
+        return depth
 
     with_ghost = (folder / GHOST_MODEL).exists()
     if with_ghost:
@@ -55,8 +67,10 @@ def main(folder: Path) -> None:
         if with_ghost and np.isfinite(ghost_poses[row]).all():
             ghost_data.qpos[:] = ghost_poses[row]
             mujoco.mj_forward(ghost_model, ghost_data)
+            solid_depth_m = depth_m()
             mujoco.mjv_addGeoms(ghost_model, ghost_data, *shown, renderer.scene)
-            frame = (1 - request["opacity"]) * frame + request["opacity"] * picture()
+            is_ghost = depth_m() < solid_depth_m - request["clearance_m"]
+            frame[is_ghost] = ((1 - request["opacity"]) * frame + request["opacity"] * picture())[is_ghost]
         frames.append(frame.reshape(height // 2, 2, width // 2, 2, 3).mean(axis=(1, 3)).round())
     np.save(folder / FRAMES, np.stack(frames).astype(np.uint8))
 

@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from candata.datasets.writing import write_text
 from candata.gap.evidence import Evidence, Example
-from candata.reports import advice, exhibits, figures, heat, tables, words
+from candata.reports import advice, exhibits, figures, heat, outcome, tables, words
+from candata.reports.advice import ReportContext
 from candata.reports.document import render_page
 from candata.reports.filmstrip import filmstrip
 from candata.reports.numbers import percent
@@ -55,7 +56,12 @@ class ReportAnswer:
 
 
 def write_report(
-    report: Report, evidence: Evidence, model: mujoco.MjModel | None, out: Path, effects_yaml: str
+    report: Report,
+    evidence: Evidence,
+    model: mujoco.MjModel | None,
+    out: Path,
+    effects_yaml: str,
+    context: ReportContext | None = None,
 ) -> Path:
     """Write `report.html` into the folder `out` and return its path.
 
@@ -71,22 +77,35 @@ def write_report(
         Folder, made when missing.
     effects_yaml : str
         Text of `effects.yaml`, shown with a button that copies it.
+    context : ReportContext, optional
+        What advice needs beside the record; by default the folder alone.
     """
-    return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml), "report")
+    context = context or ReportContext(Path(out))
+    return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml, context), "report")
 
 
-def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:
+def page(
+    report: Report,
+    evidence: Evidence,
+    model: mujoco.MjModel | None,
+    effects_yaml: str,
+    context: ReportContext | None = None,
+) -> str:
     """Return the whole page as text."""
-    headline = words.headline(report)
+    context = context or ReportContext()
+    headline = outcome.headline(report)
     return render_page(
         "diagnosis",
         title=f"{headline}: {report.data.dataset}",
         tone=TONES[report.verdict],
         headline=headline,
         report=report,
-        meaning=words.meaning(report),
-        answers=_answers(report),
-        changes=advice.changes(report),
+        outcome=outcome.outcome(report),
+        notes=" ".join(filter(None, (outcome.FLOOR if report.gap else "", outcome.against_note(report)))),
+        answers=_answers(report, context),
+        changes=advice.changes(report, context),
+        mjcf_lines=context.mjcf_lines,
+        commands=advice.commands(report, context),
         no_attribute=advice.NO_ATTRIBUTE,
         next_step=advice.next_step(report),
         repair=words.after_name(report),
@@ -107,12 +126,12 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
         untested=tables.untested_rows(report),
         data=tables.data_rows(report),
         verdicts=tables.verdict_rows(),
-        terms=words.TERMS,
+        terms=outcome.TERMS,
         effects_yaml=effects_yaml.strip(),
     )
 
 
-def _answers(report: Report) -> list[ReportAnswer]:
+def _answers(report: Report, context: ReportContext) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
     sentences = (
         words.closure_sentence(report),
@@ -121,7 +140,7 @@ def _answers(report: Report) -> list[ReportAnswer]:
         words.learned_sentence(report),
     )
     closure = " ".join(filter(None, sentences))
-    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
+    unknowns = " ".join(filter(None, (words.unknowns_sentence(report), advice.next_motion(report, context))))
     return [
         ReportAnswer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
         ReportAnswer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.reports.camera import SHOWN_GROUPS, FreeCamera, Pinhole, pinhole
-from candata.reports.ghost import OPACITY, Ghost, ghost_model
+from candata.reports.ghost import CLEARANCE_M, OPACITY, Ghost, ghost_model
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def _colours(states: list[tuple[mujoco.MjModel, mujoco.MjData]], start: Array, r
     colour, nearest = np.tile(np.array(SKY), (len(rays), 1)), np.full(len(rays), np.inf)
     for (model, data), opacity in zip(states, (1.0, OPACITY), strict=False):
         geom, distance, normal = _cast(model, data, start, rays)
-        hit = (geom >= 0) & (distance < nearest)
+        hit = (geom >= 0) & (distance < nearest - CLEARANCE_M)
         points = start + rays[hit] * distance[hit, None]
         lit_colour = _lit_colours(model, data, geom[hit], points, normal[hit])
         colour[hit] = opacity * lit_colour + (1 - opacity) * colour[hit]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from candata.datasets.writing import replacing
 from candata.reports import camera as cameras
 from candata.reports import offscreen, png, rays
-from candata.reports.ghost import OPACITY, Ghost, ghost_model
+from candata.reports.ghost import CLEARANCE_M, OPACITY, Ghost, ghost_model
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
@@ -138,7 +138,13 @@ def _with_library(
         if ghost is not None:
             mujoco.mj_saveModel(ghost_model(model, ghost), str(folder / offscreen.GHOST_MODEL))
             np.save(folder / offscreen.GHOST_POSES, ghost.qpos)
-        request = {"width": width, "height": height, "camera": _as_json(view), "opacity": OPACITY}
+        request = {
+            "width": width,
+            "height": height,
+            "camera": _as_json(view),
+            "opacity": OPACITY,
+            "clearance_m": CLEARANCE_M,
+        }
         (folder / offscreen.REQUEST).write_text(json.dumps(request))
         if not _run_child(library, folder) or not (folder / offscreen.FRAMES).exists():
             return None

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from candata.gap.evidence import Range
 from candata.reports import advice, figures, words
 from candata.reports.numbers import digits, format_estimate, percent, unit_of
+from candata.reports.outcome import explain
 from candata.schema.record import Record
 from candata.schema.report import Estimate, NextMotion, Report, UnknownCause, Verdict
 
@@ -100,7 +101,7 @@ def motion_rows(motion: NextMotion) -> list[tuple[str, str]]:
     return [
         ("motion", words.readable_name(motion.name)),
         ("command file", motion.file or ""),
-        ("separates", words.enumeration([words.readable_name(name) for name in motion.separates], "from")),
+        ("separates", words.enumeration([words.label_title(label) for label in motion.separates], "from")),
         ("how", "play it on the real hand, append the recording to the dataset, and diagnose again"),
         *_other_fields(motion, {"name", "file", "separates"}),
     ]
@@ -153,7 +154,7 @@ def _measured(value: float | None) -> str:
 
 def verdict_rows() -> list[tuple[str, str]]:
     """Return each verdict word with its meaning."""
-    return [(word, words.explain(word)) for word in get_args(Verdict)]
+    return [(word, explain(word)) for word in get_args(Verdict)]
 
 
 def data_rows(report: Report) -> list[tuple[str, str]]:

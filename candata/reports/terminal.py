@@ -1,73 +1,67 @@
-"""The summary that the command line prints: at most 25 lines."""
+"""The summary that the command line prints: whole sentences, at most 80 columns wide."""
 
 from __future__ import annotations
 
 import textwrap
 
 from candata.reports import advice, words
+from candata.reports.advice import ReportContext
 from candata.reports.numbers import format_estimate, percent, unit_of
+from candata.reports.outcome import against_note, outcome
 from candata.schema.report import NamedEffect, Report
 
-#: Columns of the text, and effects shown before the rest is counted.
-WIDTH, MOST_EFFECTS = 98, 3
-#: Most lines of each entry.
-LINES = {
-    "where": 2,
-    "which": 4,
-    "how far": 3,
-    "calibrated": 2,
-    "edit test": 2,
-    "model": 2,
-    "change": 3,
-    "not known": 3,
-    "untested": 1,
-    "next": 2,
-    "data": 2,
-}
+#: Columns of the text: those of a terminal as it opens.
+WIDTH = 80
 #: Columns of the entries' names.
 LABEL_WIDTH = 11
+#: What a floor is, in the words of a terminal.
+FLOOR = "1 floor is the mismatch that sensor noise alone makes"
 
 
-def summary(report: Report) -> str:
-    """Return the diagnosis as text: where, which, how far, what to change, what is not known, what is next."""
-    headline = f"{report.verdict}: {words.meaning(report)}"
-    lines = [*textwrap.wrap(headline, WIDTH, max_lines=2, placeholder=" ..."), ""]
-    lines += _entry("where", words.where_sentence(report), LINES["where"])
-    lines += _causes(report)
-    lines += _entry("how far", words.closure_sentence(report), LINES["how far"])
-    lines += _entry("calibrated", words.calibration_sentence(report), LINES["calibrated"])
-    lines += _entry("edit test", words.edit_sentence(report), LINES["edit test"])
-    lines += _entry("model", words.learned_sentence(report), LINES["model"])
-    lines += _changes(report)
-    lines += _entry("not known", words.unknowns_sentence(report), LINES["not known"])
-    lines += _entry("untested", _untested_words(report), LINES["untested"])
-    lines += _entry("next", words.next_motion_sentence(report), LINES["next"])
-    lines += _entry("data", _data(report), LINES["data"])
-    return "\n".join(lines)
+def summary(report: Report, context: ReportContext | None = None) -> str:
+    """Return the diagnosis as text: what happened, where, which, how far, what to change, what is not known.
+
+    Parameters
+    ----------
+    report : Report
+    context : ReportContext, optional
+        Where the report lies and what the scene's groups hold, for commands that run as they are printed.
+    """
+    context = context or ReportContext()
+    floor = f"({FLOOR}.)" if report.gap is not None else ""
+    first_sentences = " ".join(filter(None, (f"{report.verdict}: {outcome(report)}", floor, against_note(report))))
+    lines = [*textwrap.wrap(words.keep_units(first_sentences), WIDTH, break_on_hyphens=False), ""]
+    lines += _entry("where", words.where_sentence(report))
+    lines += _list_entry("which", [_effect(e) for e in report.effects] or [words.cause_sentence(report)])
+    lines += _entry("how far", words.closure_sentence(report))
+    lines += _entry("calibrated", words.calibration_sentence(report))
+    lines += _entry("edit test", words.edit_sentence(report))
+    lines += _entry("model", words.learned_sentence(report))
+    lines += _list_entry(
+        "change", [str(change) for change in advice.changes(report, context)] or [advice.next_step(report)]
+    )
+    lines += _entry("not known", words.unknowns_sentence(report))
+    lines += _entry("untested", _untested_words(report))
+    lines += _entry("next", advice.next_motion(report, context))
+    lines += _entry("data", _data(report))
+    text = "\n".join(line.replace(words.TIE, " ") for line in lines)
+    return "\n".join([text, *_commands(report, context)])
 
 
-def _causes(report: Report) -> list[str]:
-    """Return the effects, or the sentence that names none."""
-    if not report.effects:
-        return _entry("which", words.cause_sentence(report), LINES["which"])
-    return _list_entry("which", [_effect(effect) for effect in report.effects], LINES["which"])
+def _commands(report: Report, context: ReportContext) -> list[str]:
+    """Return the commands that use the repair, each on a line of its own, never broken."""
+    lines = []
+    for purpose, command in advice.commands(report, context):
+        lines += ["", f"To {purpose}:", f"  {command}"]
+    return lines
 
 
-def _changes(report: Report) -> list[str]:
-    """Return what to change in the simulator."""
-    texts = [str(change) for change in advice.changes(report)] or [advice.next_step(report)]
-    return _list_entry("change", texts, LINES["change"])
-
-
-def _list_entry(name: str, texts: list[str], most_lines: int) -> list[str]:
-    """Return a labelled list: two lines an item while there are few, else one; what has no room is counted."""
-    items = texts[:MOST_EFFECTS]
-    lines_per_item = max(1, most_lines // len(items)) if len(texts) > 1 else most_lines
+def _list_entry(name: str, texts: list[str]) -> list[str]:
+    """Return a labelled list, each item on lines of its own."""
     lines: list[str] = []
-    for text in items:
-        lines += _entry("" if lines else name, text, lines_per_item)
-    omitted_count = len(texts) - len(items)
-    return lines + (_entry("", f"and {omitted_count} more in report.json", 1) if omitted_count > 0 else [])
+    for text in texts:
+        lines += _entry("" if lines else name, text)
+    return lines
 
 
 def _effect(effect: NamedEffect) -> str:
@@ -82,34 +76,33 @@ def _effect(effect: NamedEffect) -> str:
 
 
 def _untested_words(report: Report) -> str:
-    """Return how much could not be tested; empty for nothing."""
+    """Return how much could not be tested; empty for nothing. The page lists the effects."""
     channels = [words.readable_name(channel) for channel in advice.missing_channels(report)]
     parts = [f"{words.enumeration(channels)} not recorded"] if channels else []
-    effects = [words.readable_name(c.name) for c in report.ranking if c.reason == advice.NO_RESPONSE]
-    if effects:
-        parts.append(f"{len(effects)} effects move nothing in these motions: {words.enumeration(effects)}")
+    count = sum(candidate.reason == advice.NO_RESPONSE for candidate in report.ranking)
+    if count:
+        subject = "1 effect moves" if count == 1 else f"{count} effects move"
+        parts.append(f"{subject} nothing in these motions (see report.html)")
     return "; ".join(parts)
 
 
 def _data(report: Report) -> str:
-    """Return dataset, episodes, floor and notes on one line."""
+    """Return dataset, episodes, floor and notes."""
     data, count = report.data, report.data.episodes
     floor = f", floor {data.floor}" if data.floor else ""
     notes = "".join(f"; {note}" for note in data.notes)
     return f"{data.dataset}, {count.total} episodes, {count.held_out} held out in {count.folds} folds{floor}{notes}"
 
 
-def _entry(name: str, text: str, most_lines: int) -> list[str]:
-    """Return a labelled paragraph of at most `most_lines` lines; nothing for an empty text."""
+def _entry(name: str, text: str) -> list[str]:
+    """Return a labelled paragraph; nothing for an empty text."""
     if not text:
         return []
-    lines = textwrap.wrap(
+    return textwrap.wrap(
         words.keep_units(text),
         WIDTH,
         initial_indent=f"{name:<{LABEL_WIDTH}}",
         subsequent_indent=" " * LABEL_WIDTH,
-        max_lines=most_lines,
-        placeholder=" ...",
         break_on_hyphens=False,
+        break_long_words=False,
     )
-    return [line.replace(words.TIE, " ") for line in lines]

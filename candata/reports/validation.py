@@ -12,6 +12,8 @@ from candata.checks import LEVELS, Finding, Group, Level, group_findings, meanin
 from candata.datasets import Dataset
 from candata.datasets.writing import write_text
 from candata.reports.document import render_page
+from candata.reports.numbers import digits
+from candata.reports.words import sentence_case
 
 #: Level to its colour in `templates/style.css.j2`.
 TONES = {"error": "bad", "warning": "part", "info": "accent", "unknown": "none"}
@@ -19,11 +21,20 @@ TONES = {"error": "bad", "warning": "part", "info": "accent", "unknown": "none"}
 PLURALS = {"error": "errors", "warning": "warnings", "info": "remarks", "unknown": "not checked"}
 #: Level to what it means for the reader.
 CONSEQUENCES = {
-    "error": "These episodes cannot be trusted.",
-    "warning": "Worth a look before training on them.",
-    "info": "True and worth knowing; nothing is wrong.",
-    "unknown": "Could not be checked; the reason is given below.",
+    "error": "Do not use these episodes before this is mended.",
+    "warning": "Worth a look before you train on these episodes.",
+    "info": "Worth knowing; nothing is wrong.",
+    "unknown": "Rules that could not be applied in full, for the reasons given below. This is no error.",
 }
+#: Level to what it means that there is nothing of it.
+NOTHING = {
+    "error": "Each rule that was applied is kept.",
+    "warning": "Nothing is doubtful.",
+    "info": "There is nothing to add.",
+    "unknown": "Every rule was applied in full.",
+}
+#: How the reason of a rule that was not applied begins; the page's heading says it already.
+NOT_CHECKED = "not checked"
 #: Episodes of a group that are listed, and time ranges of an episode.
 MOST_EPISODES, MOST_RANGES = 40, 4
 #: Longest piece of evidence on the page [characters]; --json has all.
@@ -99,7 +110,9 @@ def page(
         meaning=_method(deep, rules),
         answers=[_answer(level, [g for g in groups if g.level == level], len(data)) for level in LEVELS],
         sections=[(PLURALS[level].capitalize(), level_groups) for level, level_groups in by_level.items()],
-        unchecked=[(g.rule, meanings().get(g.rule, ""), g.findings[0].message) for g in groups if g.level == "unknown"],
+        unchecked=[
+            (g.rule, meanings().get(g.rule, ""), _reason(g.findings[0].message)) for g in groups if g.level == "unknown"
+        ],
         rules=_rules(groups, rules),
     )
 
@@ -107,26 +120,33 @@ def page(
 def _headline(counts: Counter[Level]) -> tuple[str, str]:
     """Return a colour and the headline."""
     if counts["error"]:
-        return "bad", "Something is wrong"
+        return "bad", "Errors found"
     if counts["warning"]:
-        return "part", "Something is doubtful"
-    return "good", "Nothing wrong was found"
+        return "part", "Warnings, no errors"
+    return "good", "No errors found"
 
 
 def _method(deep: bool, rules: Sequence[str] | None) -> str:
     """Return how it was checked, in two sentences."""
-    rule_words = f"Rules: {', '.join(rules)}." if rules else "All rules."
+    rule_words = f"These rules were tried: {', '.join(rules)}." if rules else "All rules were tried."
     depth = (
-        "every file hashed in full" if deep else "files compared by size and episodes by content, not hashed in full"
+        "Every file was hashed in full."
+        if deep
+        else "Files were compared by size, episodes by content; --deep hashes all."
     )
-    return f"{rule_words} Stored data as they lie on the disk, {depth}."
+    return f"{rule_words} {depth}"
+
+
+def _reason(message: str) -> str:
+    """Return why a rule was not applied, as a sentence without its full stop."""
+    return sentence_case(message.removeprefix(NOT_CHECKED).lstrip(": "))
 
 
 def _answer(level: Level, groups: Sequence[Group], episode_count: int) -> tuple[str, str, int, str]:
     """Return name, colour, number of groups and sentence of a level."""
     heading = PLURALS[level].capitalize()
     if not groups:
-        return heading, "muted", 0, "None."
+        return heading, "muted", 0, NOTHING[level]
     episodes = {name for group in groups for name in group.episodes}
     count = f" {len(episodes)} of {episode_count} episodes." if episodes else ""
     return heading, TONES[level], len(groups), CONSEQUENCES[level] + count
@@ -138,7 +158,7 @@ def _group(group: Group, episode_count: int) -> FindingGroup:
     return FindingGroup(
         level=group.level,
         tone=TONES[group.level],
-        problem=group.problem,
+        problem=sentence_case(group.problem),
         channel=group.channel,
         rule=group.rule,
         percent=100 * count / max(episode_count, 1) if count else 100,
@@ -154,10 +174,14 @@ def _row(finding: Finding) -> tuple[str, ...]:
     times = ", ".join(f"{a:.3g}{DASH}{b:.3g} s" if b > a else f"{a:.3g} s" for a, b in finding.ranges[:MOST_RANGES])
     if len(finding.ranges) > MOST_RANGES:
         times += f" and {len(finding.ranges) - MOST_RANGES} more"
-    numbers = ", ".join(
-        f"{name} {shorten(str(value), EVIDENCE_LENGTH, placeholder=' ...')}" for name, value in finding.evidence.items()
-    )
+    numbers = ", ".join(f"{name} {_evidence(value)}" for name, value in finding.evidence.items())
     return finding.episode or "the set", finding.message, times or "throughout", numbers or DASH
+
+
+def _evidence(value: object) -> str:
+    """Return a piece of evidence in a few characters; --json has all of it."""
+    text = digits(value) if isinstance(value, float) else str(value)
+    return shorten(text, EVIDENCE_LENGTH, placeholder=" ...")
 
 
 def _rules(groups: Sequence[Group], rules: Sequence[str] | None) -> list[tuple[str, str, str]]:
@@ -168,6 +192,6 @@ def _rules(groups: Sequence[Group], rules: Sequence[str] | None) -> list[tuple[s
             continue
         levels = [group.level for group in groups if group.rule == name]
         worst_level = min(levels, key=LEVELS.index, default=None)
-        result = "nothing found" if worst_level is None else PLURALS[worst_level]
-        rows.append((name, meaning, "not, or partly, checked" if worst_level == "unknown" else result))
+        result = "kept" if worst_level is None else PLURALS[worst_level]
+        rows.append((name, meaning, "not checked in full" if worst_level == "unknown" else result))
     return rows

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import PurePath
 
 from candata.reports.numbers import EQUALLY_GOOD, SUFFIX_UNITS, digits, format_estimate, percent, unit_of
-from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom, Verdict
+from candata.schema.report import EditTest, NamedEffect, Report, SharedGap, Symptom
 
 #: A space at which no line ends.
 TIE = "\N{NO-BREAK SPACE}"
@@ -15,42 +15,6 @@ TIE = "\N{NO-BREAK SPACE}"
 NAMED_EPISODES = 3
 #: Remainder of the gap [floors] below which a sentence does not speak of it.
 SMALLEST_REMAINDER = 0.05
-#: The verdict as a headline.
-HEADLINES: dict[Verdict, str] = {
-    "no_gap": "No gap found",
-    "explained": "Explained",
-    "partly_explained": "Partly explained",
-    "ambiguous": "Ambiguous",
-    "unknown_effect": "Unknown effect",
-    "too_little_data": "Too little data",
-    "out_of_budget": "Out of budget",
-}
-
-_MEANINGS: dict[Verdict, str] = {
-    "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
-    "explained": "The named effects pass the held-out test and close most of the gap: at least 80 % of it, or half of "
-    "it when no more than 0.30 floors remain, or what can be measured of a gap smaller than that.",
-    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap (a single effect: "
-    "half), in all episodes or in all but a few, but something else remains.",
-    "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
-    "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
-    "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
-    "out_of_budget": "The CPU time was spent before the search ended: the report says what is known by then, but no "
-    "effect is named.",
-}
-
-#: Other words of the page.
-TERMS = {
-    "floor": "the mismatch that sensor noise and luck alone give; 1 floor is as good as it can get",
-    "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
-    "gain": "how much the robust loss falls on held-out episodes, in floors",
-    "share": "how much of the gain is lost when this effect alone is left out; the shares of effects that need one "
-    "another add up to more than 100 %",
-    "support": "how often a candidate comes first when episodes are resampled; in a set, how often it comes before "
-    "what was tried in its place; lower when the named set leaves much of the gap",
-    "p": "how likely chance alone would show a cell as strong, over all cells",
-}
-
 _CHANNELS = {
     "object_pose": "the object's pose",
     "object_position": "the object's position",
@@ -63,6 +27,16 @@ _CHANNELS = {
     "fingertip_force": "fingertip force",
 }
 
+#: Phases of contact as a sentence speaks of them; a name of its own where there is no entry.
+_PHASES = {
+    "free": "free motion",
+    "onset": "the onset of contact",
+    "sustained": "sustained contact",
+    "slip": "slip",
+    "release": "release",
+}
+#: Regimes that go without saying in a phase.
+_IMPLIED_REGIMES = {"onset": "loaded", "sustained": "loaded", "slip": "loaded", "free": "free"}
 
 #: Where the excess of an element lies, by the regime of the record.
 _REGIMES = {
@@ -78,27 +52,6 @@ _REGIMES = {
 }
 
 
-def explain(verdict: Verdict) -> str:
-    """Return one sentence that says what a verdict word means."""
-    return _MEANINGS[verdict]
-
-
-def headline(report: Report) -> str:
-    """Return the verdict in a few words; against a reference, that nothing changed."""
-    is_unchanged = report.verdict == "no_gap" and report.data.against
-    return "No change found" if is_unchanged else HEADLINES[report.verdict]
-
-
-def meaning(report: Report) -> str:
-    """Return what the verdict means, and what a gap is where a reference was given."""
-    if not report.data.against:
-        return explain(report.verdict)
-    return (
-        f"{explain(report.verdict)} The gap is what changed since {report.data.against}: what the simulation already "
-        "leaves open there does not count."
-    )
-
-
 def where_sentence(report: Report) -> str:
     """Return the sentence that says in which channels and phases the gap shows."""
     if report.verdict == "too_little_data" and not report.where:
@@ -110,8 +63,16 @@ def where_sentence(report: Report) -> str:
     strongest_symptom, *weaker_symptoms = report.where
     size = f"{times_floor(strongest_symptom.ratio)} ({p_text(strongest_symptom.p)})"
     text = f"The gap shows most in {symptom_place(strongest_symptom)}: {size}"
-    next_places = list(dict.fromkeys(symptom_place(symptom) for symptom in weaker_symptoms))[:2]
-    return f"{text}; then in {enumeration(next_places)}." if next_places else f"{text}."
+    next_places = list(dict.fromkeys(_next_place(symptom, strongest_symptom) for symptom in weaker_symptoms))[:2]
+    return f"{text}; then {enumeration(next_places)}." if next_places else f"{text}."
+
+
+def _next_place(symptom: Symptom, strongest: Symptom) -> str:
+    """Return the place of a weaker symptom, of the same element by its phase alone."""
+    same_fields = ("channel", "element", "regime")
+    if symptom.phase and all(getattr(symptom, name) == getattr(strongest, name) for name in same_fields):
+        return f"during {_phase_words(symptom.phase)}"
+    return f"in {symptom_place(symptom)}"
 
 
 def where_headline(report: Report) -> str:
@@ -126,7 +87,7 @@ def where_headline(report: Report) -> str:
 def cause_headline(report: Report) -> str:
     """Return the named or tied effects in a few words; empty when none is."""
     if report.verdict == "ambiguous":
-        return sentence_case(enumeration([readable_name(name) for name in report.ambiguous_class], "or"))
+        return sentence_case(enumeration([label_title(label) for label in report.ambiguous_class], "or"))
     return sentence_case(enumeration([effect_title(effect.name, effect.element) for effect in report.effects]))
 
 
@@ -139,7 +100,7 @@ def cause_sentence(report: Report) -> str:
     if report.verdict == "out_of_budget":
         return f"None is named: the search was not finished{_best_ranked(report, '; first so far is ')}."
     if report.verdict == "ambiguous":
-        candidates = enumeration([readable_name(name) for name in report.ambiguous_class], "or") or "several candidates"
+        candidates = enumeration([label_title(label) for label in report.ambiguous_class], "or") or "several candidates"
         return f"{sentence_case(candidates)}: these recordings cannot tell them apart."
     if not report.effects:
         return f"No effect in the library explains the gap{_best_ranked(report, '; the nearest is ')}."
@@ -274,7 +235,7 @@ def _effect_unknowns(effect: NamedEffect) -> list[str]:
             if alternative
         ]
     if effect.rivals:
-        rivals = enumeration([readable_name(rival) for rival in effect.rivals], "or")
+        rivals = enumeration([label_title(rival) for rival in effect.rivals], "or")
         parts.append(
             f"{name} may be {rivals} instead: beside the other effects these recordings cannot tell them apart"
         )
@@ -286,13 +247,16 @@ def after_name(report: Report) -> str:
     return "repaired" if report.effects else "best candidate"
 
 
-def next_motion_sentence(report: Report) -> str:
-    """Return the sentence that says what to record next; empty when nothing is proposed."""
+def next_motion_sentence(report: Report, file: str | None = None) -> str:
+    """Return the sentence that says what to record next, and in which file; empty when nothing is proposed.
+
+    `file` is the path of the motion's file from where the reader stands, the record's own name without it.
+    """
     motion = report.next_motion
     if motion is None:
         return ""
-    separates = enumeration([readable_name(name) for name in motion.separates], "from")
-    text = f"Record {readable_name(motion.name)}" + (f" ({motion.file})" if motion.file else "")
+    separates = enumeration([label_title(label) for label in motion.separates], "from")
+    text = f"Record {readable_name(motion.name)}" + (f" ({file or motion.file})" if motion.file else "")
     text = f"{text}: it separates {separates}." if separates else f"{text}."
     return f"{text} {sentence_case(motion.reason)}." if motion.reason else text
 
@@ -304,15 +268,26 @@ def symptom_place(symptom: Symptom) -> str:
         text = f"the object's {symptom.element}"
     elif symptom.element:
         text += f" of {symptom.element}"
-    text += f" during {readable_name(symptom.phase)}" if symptom.phase else ""
-    return text + (
-        f", above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}" if symptom.regime else ""
-    )
+    text += f" during {_phase_words(symptom.phase)}" if symptom.phase else ""
+    if not symptom.regime or symptom.regime == _IMPLIED_REGIMES.get(symptom.phase or ""):
+        return text
+    return f"{text}, above all {_REGIMES.get(symptom.regime, readable_name(symptom.regime))}"
+
+
+def _phase_words(phase: str) -> str:
+    """Return a phase of contact as a sentence speaks of it."""
+    return _PHASES.get(phase, readable_name(phase))
+
+
+def label_title(label: str) -> str:
+    """Return a record's label of a candidate, `joint_damping left_base`, as `joint damping on left_base`."""
+    name, _, element = label.partition(" ")
+    return effect_title(name, element or None)
 
 
 def effect_title(name: str, element: str | None) -> str:
-    """Return `joint dry friction at index2`, or the bare effect when it acts everywhere."""
-    return readable_name(name) + (f" at {element}" if element else "")
+    """Return `joint dry friction on index2`, or the bare effect when it acts everywhere."""
+    return readable_name(name) + (f" on {element}" if element else "")
 
 
 def effect_phrase(effect: NamedEffect) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -93,6 +96,18 @@ def test_json_prints_the_same_record_and_nothing_else(diagnosed):
 def test_notes_go_to_stderr(diagnosed):
     assert diagnosed.err.splitlines()[0] == "reading"
     assert diagnosed.err.endswith(f"report: {diagnosed.out / 'report.html'}\n")
+
+
+def test_the_pages_commands_run_as_they_are_printed(diagnosed, tmp_path, monkeypatch):
+    """One simulates with the repair, the other writes the line of MJCF that the page shows."""
+    monkeypatch.chdir(tmp_path)
+    text = html.unescape((diagnosed.out / "report.html").read_text("utf-8"))
+    commands = re.findall(r"<code>candata (.*?)</code>", text)
+    assert [command.split(" --")[0] for command in commands] == ["generate-sim", "scene export"]
+    assert [run(*shlex.split(command)).code for command in commands] == [0, 0]
+    assert len(open_dataset(tmp_path / "repaired")) == 8
+    assert '<option cone="elliptic"/>' in text
+    assert 'cone="elliptic"' in (tmp_path / "repaired_model" / "scene.xml").read_text()
 
 
 def test_the_dataset_is_named_with_its_digest(diagnosed):

@@ -8,7 +8,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from candata.effects import effect
+from candata.scenes import load_scene
+from candata.schema.effect import EffectSetting
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
+from candata.simulate.randomisation import check_randomisation
+from candata_cli import demo_command
 from tests.cli.command import exit_code
 
 
@@ -324,24 +329,53 @@ def diagnosis(monkeypatch):
             data = DiagnosisData(
                 dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared"
             )
-            return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
+            return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data), named=())
 
         monkeypatch.setattr("candata.gap.diagnose", diagnose)
-        monkeypatch.setattr("candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html")
+        monkeypatch.setattr(
+            "candata.reports.write_diagnosis", lambda _found, _scene, out, _context: out / "report.html"
+        )
         return calls
 
     return plant
 
 
 def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
-    calls = diagnosis("tactile_gain", {"gain": 0.7})
+    calls = diagnosis("object_mass", {"mass_scale": 2.0})
     assert exit_code("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
     printed = capsys.readouterr().out
     folder = tmp_path / "seed-2"
     assert calls == [("real", "xhand_tabletop", 1, 2)]
-    assert "seal opened: tactile_gain, found\n" in printed
-    assert re.search(r"gain +0\.7064 +0\.7 +0\.6 \.\. 0\.8", printed)
+    assert "seal opened: object_mass, found\n" in printed
+    assert re.search(r"mass_scale +[12]\.\d+ +2 +1\.9 \.\. 2\.1", printed)
+    assert f"candata generate-sim --effects {folder / 'report' / 'effects.yaml'} " in printed
     assert printed.endswith(f"report: {folder / 'report' / 'report.html'}\n")
+
+
+def test_a_quick_demo_takes_the_gripper_and_the_fewest_episodes(tmp_path, diagnosis):
+    calls = diagnosis("joint_dry_friction", {"frictionloss_Nm": 0.1})
+    assert exit_code("demo", "--quick", "--out", tmp_path, "--jobs", 1, "--json") == 0
+    assert calls == [("real", "gripper_tabletop", 1, 8)]
+
+
+@pytest.mark.parametrize(("element", "outcome"), [("mid1", "found"), ("mid2", "missed"), (None, "missed")])
+def test_the_demo_asks_for_the_joint_too(element, outcome):
+    truth = EffectSetting(name="joint_dry_friction", element="mid1", parameters={"frictionloss_Nm": 0.1})
+    named = NamedEffect(name=truth.name, element=element, share=1.0, support=1.0, parameters={})
+    data = DiagnosisData(dataset="real@0", episodes=EpisodeCount(total=8, folds=4, held_out=8))
+    assert demo_command.judge(Report(verdict="explained", effects=(named,), data=data), truth) == outcome
+    tied = Report(verdict="ambiguous", ambiguous_class=("joint_dry_friction mid1", "x"), data=data)
+    assert demo_command.judge(tied, truth) == "found in a class"
+
+
+@pytest.mark.parametrize("scene", [demo_command.SCENE, demo_command.QUICK_SCENE])
+def test_what_the_demo_hides_is_a_fault_of_hardware(scene):
+    """None is a word of the solver, and each can be simulated in the scene."""
+    world = load_scene(scene)
+    for seed in range(1, 8):
+        (fault,) = demo_command.hidden_fault(scene, seed).effects
+        assert not effect(fault.name).traits & {"solver", "simulator"}
+        check_randomisation([fault], world)
 
 
 def test_demo_says_so_when_it_misses(tmp_path, capsys, diagnosis):
@@ -349,5 +383,5 @@ def test_demo_says_so_when_it_misses(tmp_path, capsys, diagnosis):
     words = ("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1, "--json")
     assert exit_code(*words) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["outcome"], found["truth"]["name"]) == ("missed", "tactile_gain")
+    assert (found["outcome"], found["truth"]["name"]) == ("missed", "object_mass")
     assert (tmp_path / "seed-2" / "nominal" / "versions" / "000001.json").is_file()

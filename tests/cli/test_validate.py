@@ -165,11 +165,21 @@ def test_the_page_is_written_whole_and_asks_for_nothing(bad, tmp_path):
     result = run("validate", bad, "--html", page)
     text = page.read_text("utf-8")
     assert result.exit_code == 1
-    assert "Something is wrong" in text
+    assert "Errors found" in text
     assert "4 of 5 episodes" in text
     assert "normalise them at the source" in text
     assert "http" not in text.replace("http-equiv", "")
     assert sorted(p.name for p in page.parent.iterdir()) == ["page.html"]
+
+
+def test_a_page_without_errors_frightens_nobody(root, tmp_path):
+    page = tmp_path / "page.html"
+    assert run("validate", root, "--html", page).exit_code == 0
+    text = page.read_text("utf-8")
+    assert ">No errors found<" in text
+    assert "Do not use these episodes" not in text
+    assert "Each rule that was applied is kept." in text
+    assert "not checked:" not in text, "the heading says it"
 
 
 def test_names_in_the_data_cannot_break_the_page(tmp_path):

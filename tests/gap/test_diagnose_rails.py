@@ -64,7 +64,7 @@ def test_a_dry_jaw_is_named(gripper, planted, judge):
     # Joints are read to 0.3 mm, and 500 N/m hold them: 0.15 N a reading, of hundreds that move.
     assert estimate.value == pytest.approx(1.2, abs=0.15)
     assert (estimate.unit, unit_of("joint_dry_friction", "frictionloss_Nm", estimate)) == ("N", "N")
-    text = summary(report)
+    text = " ".join(summary(report).split())
     assert " N (90 %" in text
     assert "N m" not in text
 

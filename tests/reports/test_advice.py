@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from candata.reports import advice
@@ -64,13 +66,35 @@ def test_a_change_in_words(effect, instruction, mjcf):
 
 def test_what_mjcf_cannot_hold_is_added_by_the_effects_file():
     text = str(advice.change(named_effect("backlash", "index2", gap_rad=0.03)))
-    assert text.startswith("Give the gears of joint index2 a play of 30 mrad; MJCF has no attribute for it: ")
-    assert "candata generate-sim --effects effects.yaml" in text
+    assert text == f"Give the gears of joint index2 a play of 30 mrad; {advice.NO_ATTRIBUTE}."
+
+
+@pytest.mark.parametrize(
+    ("effect", "place"),
+    [
+        (
+            named_effect("joint_dry_friction", "index", frictionloss_Nm=0.04),
+            "to joints index1 and index2 (group index)",
+        ),
+        (named_effect("actuation_delay", "index", delay_s=0.01), "of the servos of index1 and index2 (group index)"),
+    ],
+)
+def test_a_group_is_said_with_its_joints(effect, place):
+    assert place in advice.change(effect, {"index": ("index1", "index2")}).instruction
+
+
+def test_commands_name_the_files_from_where_the_reader_stands(make_report):
+    context = advice.ReportContext(Path("out/my report"), mjcf_lines=('<joint name="index2"/>',))
+    commands = [command for _, command in advice.commands(make_report(), context)]
+    assert [command.split(" --effects ")[0] for command in commands] == ["candata generate-sim", "candata scene export"]
+    assert all("--effects 'out/my report/effects.yaml' " in command for command in commands)
+    assert advice.commands(make_report("ambiguous"), context) == [], "nothing is repaired"
+    assert len(advice.commands(make_report(), advice.ReportContext())) == 1, "MJCF holds none of it"
 
 
 def test_an_effect_without_words_is_said_by_its_name():
     text = advice.change(named_effect("learned_residual", "index2", gravity=0.03)).instruction
-    assert text.startswith("Add learned residual at index2: ")
+    assert text.startswith("Add learned residual on index2: ")
     assert text.endswith(", 0.03")
     assert "Add wind: 0.4 N" in advice.change(named_effect("wind", force_N=0.4)).instruction
 

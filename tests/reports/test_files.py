@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 
+import mujoco
 import pytest
 import yaml
 
@@ -13,6 +16,8 @@ from candata.errors import SetupError
 from candata.gap import Diagnosis
 from candata.gap.evidence import Evidence
 from candata.reports import effects_text, write_diagnosis
+from candata.reports.mjcf_lines import mjcf_lines
+from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.report import Report
 
@@ -35,7 +40,7 @@ def diagnosis(make_report, full_evidence, small_pictures, no_gl) -> Diagnosis:
 @pytest.fixture
 def scene(hand):
     """All that a page needs of a scene."""
-    return SimpleNamespace(model=hand)
+    return SimpleNamespace(model=hand, file=SimpleNamespace(groups={}))
 
 
 def test_three_files_are_written_into_a_folder_that_is_made(tmp_path, diagnosis, scene):
@@ -45,12 +50,9 @@ def test_three_files_are_written_into_a_folder_that_is_made(tmp_path, diagnosis,
 
 
 def test_a_proposed_motion_stands_beside_them_and_goes_with_the_next_diagnosis(tmp_path, diagnosis):
-    from dataclasses import replace
-
     import numpy as np
 
     from candata.policies import Motion, read_motions
-    from candata.scenes import load_scene
 
     world = load_scene("xhand_tabletop")
     motion = Motion("slow reversals", np.repeat(world.model.key_ctrl[:1], 4, axis=0), np.zeros(3))
@@ -114,3 +116,26 @@ def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one_whole(tmp_path, d
             tmp_path,
         )
     assert (tmp_path / "report.json").read_text() == text_before
+
+
+def test_the_lines_of_the_mjcf_are_those_that_an_export_changes(tmp_path, diagnosis):
+    """An element without a name has its place; what MJCF cannot hold has no line; given effects have none either."""
+    world = load_scene("cube_toss")
+    heavy = EffectSetting(name="object_mass", parameters={"mass_scale": 2.0})
+    cone = EffectSetting(name="friction_cone", parameters={"cone": other_cone(world)})
+    late = EffectSetting(name="pose_latency", parameters={"latency_s": 0.01})
+    lines = mjcf_lines(world, replace(diagnosis, named=(heavy, cone, late)))
+    (inertial,) = [line for line in lines if line.startswith("<inertial ")]
+    assert re.search(r"<!-- scene\.xml, line \d+ -->$", inertial)
+    mass = float(re.search(r'mass="([^"]*)"', inertial).group(1))
+    assert mass == pytest.approx(2 * world.model.body_mass[world.model.body("object").id], rel=1e-5)
+    assert any(line.startswith(f'<option cone="{other_cone(world)}"') for line in lines)
+    assert len(lines) == 2
+    assert mjcf_lines(world, replace(diagnosis, named=(late,))) == ()
+    given = diagnosis.report.model_copy(update={"given_effects": (heavy,)})
+    assert mjcf_lines(world, replace(diagnosis, named=(cone,), report=given)) == ()
+
+
+def other_cone(scene) -> str:
+    """The friction cone that a scene does not have."""
+    return "pyramidal" if scene.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else "elliptic"

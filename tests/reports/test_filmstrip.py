@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from candata.reports.filmstrip import COLUMNS, filmstrip, moments
-from candata.reports.render import DRAWN_NOTE
+from candata.reports.render import DRAWN_NOTE, RenderedFrames
 
 
 def test_three_rows_of_six_and_a_note_without_gl(full_evidence, hand, no_gl, small_pictures):
@@ -15,6 +15,24 @@ def test_three_rows_of_six_and_a_note_without_gl(full_evidence, hand, no_gl, sma
     assert text.count("<img ") == 3 * COLUMNS
     assert text.count("data:image/png;base64,") == 3 * COLUMNS
     assert DRAWN_NOTE in text
+
+
+def test_the_recording_is_a_ghost_over_the_simulations(monkeypatch, full_evidence, hand):
+    """None stands over the recording itself; each simulation has the recording of its moment."""
+    ghosts = []
+
+    def render(model, qpos, camera, width, height, ghost):
+        ghosts.append((qpos, ghost))
+        return RenderedFrames(tuple(np.zeros((2, 2, 3), np.uint8) for _ in qpos), None)
+
+    monkeypatch.setattr("candata.reports.filmstrip.render_frames", render)
+    filmstrip(hand, full_evidence.example, "repaired")
+    ((qpos, ghost),) = ghosts
+    recorded, nominal, repaired = np.split(ghost.qpos, 3)
+    assert np.isnan(recorded).all()
+    assert np.array_equal(nominal, qpos[:COLUMNS])
+    assert np.array_equal(repaired, qpos[:COLUMNS])
+    assert hand.ngeom - len(ghost.geoms) == 2, "floor and table stand still"
 
 
 def test_it_is_left_out_without_a_model_or_with_other_positions(full_evidence, hand):

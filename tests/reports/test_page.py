@@ -14,7 +14,7 @@ import pytest
 from candata import reports
 from candata.gap.evidence import Elements, Evidence
 from candata.gap.exhibits import POINTS
-from candata.reports import figures, words
+from candata.reports import figures, outcome, words
 from candata.reports.heat import heat_map
 from candata.schema.record import Record
 from candata.schema.report import Report, Verdict
@@ -76,6 +76,8 @@ def test_every_verdict_is_written_with_its_sentences(tmp_path, make_report, full
     for sentence in (words.where_sentence, words.cause_sentence, words.closure_sentence, words.unknowns_sentence):
         assert sentence(report) in text
     assert reports.explain(verdict) in text
+    assert text.index(outcome.outcome(report)) < text.index("Where is the gap?")
+    assert (outcome.FLOOR in text) is (report.gap is not None)
 
 
 def test_the_page_is_well_formed_and_asks_for_nothing(
@@ -151,7 +153,7 @@ def test_unknown_and_measures_are_tabled(tmp_path, make_report):
 def cells(text: str, row: str) -> list[tuple[str, str, str]]:
     """(class, text when pointed at, number) of each cell of a row of the heat map."""
     inner = re.search(rf'data-shows="{row}".*?</tr>', text, re.S).group()
-    return re.findall(r'<td class="(\w+)" title="([^"]*)">([^<]*)</td>', inner)
+    return re.findall(r'<td class="([\w ]+)" title="([^"]*)">([^<]*)</td>', inner)
 
 
 def test_the_heat_map_shows_numbers_only_where_significant(make_heat):
@@ -163,6 +165,8 @@ def test_the_heat_map_shows_numbers_only_where_significant(make_heat):
     thumb = cells(markup, "fingertip_force thumb_tip")
     assert thumb[0] == ("hole", "free: no data", "")
     assert {number for *_, number in thumb} == {""}
+    assert all(css_class.endswith(" chance") for css_class, *_ in thumb[1:]), "chance is not ruled out"
+    assert not any("chance" in css_class for css_class, *_ in index2)
 
 
 def test_a_heat_map_of_nothing_but_gaps(make_heat):
@@ -199,7 +203,16 @@ def test_the_page_says_what_to_change(tmp_path, make_report, full_evidence):
     text = visible_text(reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8"))
     assert "Add joint dry friction of 0.0412 N m (0.0373 to 0.0458) to joint index2." in text
     assert "In MJCF: add 0.0412 to frictionloss of the <joint>" in text
+    assert f"candata generate-sim --effects {tmp_path / 'effects.yaml'} " in text
     assert "0 to 0.3 N m" in text, "the range that was searched"
+
+
+def test_the_lines_of_the_mjcf_stand_in_the_place_of_a_hint(tmp_path, make_report):
+    context = reports.ReportContext(tmp_path, mjcf_lines=('<joint name="index2" frictionloss="0.0412"/>',))
+    text = visible_text(reports.write_report(make_report(), Evidence(), None, tmp_path, "", context).read_text("utf-8"))
+    assert '<joint name="index2" frictionloss="0.0412"/>' in text
+    assert "In MJCF:" not in text
+    assert f"candata scene export --effects {tmp_path / 'effects.yaml'} " in text
 
 
 def test_a_range_of_one_end_is_said_so_and_drawn_to_the_end_of_what_was_searched(tmp_path, make_report, full_evidence):

@@ -12,6 +12,7 @@ import pytest
 
 from candata import reports
 from candata.reports import camera, png, render
+from candata.reports.ghost import CLEARANCE_M, Ghost
 
 BALL = """<mujoco><worldbody><light pos="0 0 2"/><geom type="plane" size="1 1 .1"/>{camera}
 <body pos="0 0 .3"><freejoint/><geom size=".1" rgba="1 0 0 1"/></body></worldbody></mujoco>"""
@@ -119,6 +120,33 @@ def test_a_fitted_camera_holds_everything_that_moves():
     assert (np.abs(offsets[:, 1] / offsets[:, 2]) < reach).all()
     across = np.abs(offsets[:, 0] / offsets[:, 2]).max() / (reach * aspect)
     assert across > 0.8  # and it is no farther than the margin asks
+
+
+WALL = '<geom type="box" size=".02 .6 .6" pos="{x} {y} .3" euler="0 0 {turn}" rgba=".5 .5 .5 1"/>'
+
+
+def test_a_camera_is_chosen_that_sees_the_object():
+    """A wall between the usual view and the object moves the camera; without the wall it stays."""
+    usual = camera.fit_camera(ball(), ball().qpos0[None], 1.5)
+    assert camera.choose_camera(ball(), ball().qpos0[None], None, 1.5) == usual
+    x, y, _ = -0.3 * usual.direction
+    model = ball(WALL.format(x=x, y=y, turn=usual.azimuth_deg))
+    chosen = camera.choose_camera(model, model.qpos0[None], None, 1.5)
+    assert (chosen.azimuth_deg, chosen.elevation_deg) != camera.VIEWS[0]
+    assert (chosen.azimuth_deg, chosen.elevation_deg) in camera.VIEWS
+
+
+def test_a_ghost_is_seen_only_where_it_stands_clear_of_what_is_solid(no_gl):
+    model = ball()
+    geoms = tuple(np.flatnonzero(model.body_weldid[model.geom_bodyid] != 0).tolist())
+    view = camera.choose_camera(model, model.qpos0[None], None, 40 / 30)
+    plain = render.render_frames(model, model.qpos0, view, 40, 30).frames[0].astype(int)
+    for towards_camera_m, is_seen in ((0.0, False), (0.5 * CLEARANCE_M, False), (0.05, True)):
+        moved = model.qpos0.copy()
+        moved[:3] -= towards_camera_m * view.direction
+        picture = render.render_frames(model, model.qpos0, view, 40, 30, Ghost(geoms, moved[None])).frames[0]
+        is_pink = np.abs(picture - plain).max(axis=2) > 40
+        assert is_pink[15, 20] == is_seen
 
 
 def test_models_without_geoms_or_joints_can_be_drawn(no_gl):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -10,6 +11,7 @@ from candata import reports
 from candata.reports import words
 from candata.reports.advice import NO_RESPONSE
 from candata.reports.numbers import digits, format_estimate, percent, unit_of
+from candata.reports.outcome import outcome
 from candata.schema.report import Estimate, Symptom, Verdict
 
 VERDICTS = get_args(Verdict)
@@ -22,13 +24,69 @@ def test_each_verdict_has_one_sentence(verdict):
     assert sentence.count(". ") == 0
 
 
+@pytest.mark.parametrize(
+    ("verdict", "sentence"),
+    [
+        (
+            "explained",
+            "Joint dry friction on index2 explains the gap; with it the mismatch falls from 3.12 times the noise floor "
+            "to 1.04.",
+        ),
+        (
+            "partly_explained",
+            "Joint dry friction on index2 explains 48 % of the gap; with it the mismatch falls from 3.12 times the "
+            "noise floor to 2.1, and something else remains.",
+        ),
+        (
+            "ambiguous",
+            "Joint damping and joint dry friction explain the gap equally well, so none is named; the mismatch is 3.12 "
+            "times the noise floor.",
+        ),
+        (
+            "unknown_effect",
+            "No effect of the library explains the gap; the mismatch stays at 3.12 times the noise floor.",
+        ),
+        (
+            "no_gap",
+            "The simulation is right as far as the noise of the sensors lets one see: the mismatch is 1.02 times the "
+            "noise floor.",
+        ),
+        (
+            "too_little_data",
+            "5 episodes are too few to judge an effect on recordings that took no part in its fit: 8 are needed.",
+        ),
+        (
+            "out_of_budget",
+            "The CPU time was spent before the search ended, so no effect is named; the mismatch is 3.12 times the "
+            "noise floor.",
+        ),
+    ],
+)
+def test_the_first_sentence_says_what_happened_in_this_case(make_report, verdict, sentence):
+    report = make_report(verdict)
+    assert outcome(report) == sentence
+    assert " ".join(reports.summary(report).split()).startswith(f"{verdict}: {sentence}")
+
+
+def test_against_a_reference_the_first_sentence_speaks_of_what_changed(make_report):
+    data = make_report().data.model_copy(update={"against": "yesterday@1"})
+    text = " ".join(reports.summary(make_report(data=data)).split())
+    assert text.startswith("explained: Joint dry friction on index2 explains what changed since yesterday@1; with it")
+    assert "does not count" in text
+
+
+def test_several_effects_explain_together(make_report):
+    effect = make_report().effects[0]
+    report = make_report(effects=[effect, effect.model_copy(update={"name": "backlash"})])
+    assert outcome(report).startswith(
+        "Joint dry friction on index2 and backlash on index2 explain the gap; with them the mismatch falls"
+    )
+
+
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_summary_is_short_and_begins_with_the_verdict(make_report, verdict):
+def test_a_summary_has_the_columns_of_a_terminal(make_report, verdict):
     lines = reports.summary(make_report(verdict)).splitlines()
-    assert len(lines) <= 25
-    assert lines[0].startswith(f"{verdict}: ")
-    assert max(map(len, lines)) <= 98
-    assert [line.split("  ")[0] for line in lines if line and not line.startswith(" ")][-1] == "data"
+    assert max(len(line) for line in lines if not line.startswith("  candata ")) <= 80
 
 
 def test_summary_names_parameter_interval_and_unit(make_report):
@@ -60,21 +118,9 @@ def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
     assert "stopped at its bound" in words.unknowns_sentence(bound_report)
 
 
-def test_summary_of_many_long_effects_stays_short(make_report):
-    effect = {
-        "name": "tactile_bias",
-        "share": 0.1,
-        "support": 0.5,
-        "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
-    }
-    text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
-    assert len(text.splitlines()) <= 25
-    assert "and 6 more in report.json" in text
-
-
-def test_the_longest_summary_fits_a_terminal(make_report):
+def test_the_longest_summary_cuts_nothing(make_report):
     """Everything that can be said at once, each of it long."""
-    long_text = "word " * 120
+    long_text = " ".join(f"word{k}" for k in range(120))
     effect = {
         "name": "tactile_bias",
         "element": "index_tip",
@@ -85,20 +131,29 @@ def test_the_longest_summary_fits_a_terminal(make_report):
     }
     unresponsive = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": NO_RESPONSE} for k in range(30)]
     data = make_report().data.model_dump() | {"notes": [long_text], "channels": ["joint_position"], "floor": "assumed"}
-    for count in (1, 2, 3, 9):
-        report = make_report(
-            "partly_explained",
-            effects=[effect] * count,
-            unknown={"words": long_text},
-            data=data,
-            ranking=[*make_report().model_dump()["ranking"], *unresponsive],
-            next_motion={"name": long_text, "file": "motion.parquet", "separates": ["a", "b"]},
-        )
-        lines = reports.summary(report).splitlines()
-        assert len(lines) <= 25
-        assert max(map(len, lines)) <= 100
-        names = [line.split("  ")[0] for line in lines if line and not line.startswith(" ")][2 if count else 1 :]
-        assert names == ["where", "which", "how far", "change", "not known", "untested", "next", "data"]
+    report = make_report(
+        "partly_explained",
+        effects=[effect | {"element": f"tip{k}"} for k in range(9)],
+        unknown={"words": long_text},
+        data=data,
+        ranking=[*make_report().model_dump()["ranking"], *unresponsive],
+        next_motion={"name": "slow", "file": "motion.parquet", "separates": ["a", "b"], "reason": long_text},
+    )
+    lines = reports.summary(report).splitlines()
+    text = " ".join(" ".join(lines).split())
+    assert max(len(line) for line in lines if not line.startswith("  candata ")) <= 80
+    assert text.count(long_text) == 2
+    assert text.count(long_text[1:]) == 3, "the reason begins with a capital"
+    assert text.count("tactile_bias on tip") == 9
+    assert "30 effects move nothing in these motions" in text
+
+
+def test_the_summarys_commands_stand_on_lines_of_their_own(make_report):
+    context = reports.ReportContext(Path("out/report"), mjcf_lines=('<joint name="index2"/>',))
+    lines = reports.summary(make_report(), context).splitlines()
+    assert "  candata scene export --effects out/report/effects.yaml --out repaired_model" in lines
+    ambiguous_text = " ".join(reports.summary(make_report("ambiguous"), context).split())
+    assert "Record slow reversals (out/report/motion.parquet)" in ambiguous_text
 
 
 def test_a_summary_says_what_to_change(make_report):
@@ -115,14 +170,21 @@ def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
     assert words.next_motion_sentence(report) == expected
 
 
+def test_a_tied_candidate_keeps_the_name_of_its_joint(make_report):
+    labels = ("joint_damping left_base", "servo_gain")
+    report = make_report("ambiguous").model_copy(update={"ambiguous_class": labels})
+    assert words.cause_headline(report) == "Joint damping on left_base or servo gain"
+    assert outcome(report).startswith("Joint damping on left_base and servo gain explain the gap equally well")
+
+
 def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
-    assert "the nearest is joint dry friction at index2" in words.cause_sentence(make_report("unknown_effect"))
+    assert "the nearest is joint dry friction on index2" in words.cause_sentence(make_report("unknown_effect"))
 
 
 def test_out_of_budget_names_nothing_and_says_what_is_first_so_far(make_report):
     report = make_report("out_of_budget")
     assert words.cause_sentence(report) == (
-        "None is named: the search was not finished; first so far is joint dry friction at index2."
+        "None is named: the search was not finished; first so far is joint dry friction on index2."
     )
     assert words.closure_sentence(report).startswith("On held-out episodes the mismatch is 3.12 times the floor")
     empty_report = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
@@ -240,10 +302,11 @@ def test_percent_never_rounds_up_to_all(share, text):
 @pytest.mark.parametrize(
     ("regime", "text"),
     [
-        (None, "joint position of index2 during onset"),
-        ("reversal", "joint position of index2 during onset, above all where it turns back"),
-        ("moving -", "joint position of index2 during onset, above all while it moves down (-)"),
-        ("loaded", "joint position of index2 during onset, above all under contact"),
+        (None, "joint position of index2 during the onset of contact"),
+        ("reversal", "joint position of index2 during the onset of contact, above all where it turns back"),
+        ("moving -", "joint position of index2 during the onset of contact, above all while it moves down (-)"),
+        ("loaded", "joint position of index2 during the onset of contact"),
+        ("pulling", "joint position of index2 during the onset of contact, above all where its motor pulls"),
     ],
 )
 def test_a_symptom_says_its_regime_only_where_it_has_one(regime, text):
