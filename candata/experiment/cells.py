@@ -12,6 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
+import mujoco
+
 from candata import __version__
 from candata.datasets.durable import encode_record, file_sha256
 from candata.datasets.writing import replacing
@@ -24,13 +26,13 @@ FILE = "cell.json"
 #: What cells hold beside it: a set, a run, an evaluation, the effects of a repair.
 SETS, RUN, EVALUATION, EFFECTS = "set", "run", "evaluation.json", "effects.yaml"
 _HELD: Mapping[Kind, str] = {"part": SETS, "diagnosis": EFFECTS, "train": RUN, "evaluation": EVALUATION}
-#: Packages whose versions decide what a cell of each kind holds.
+#: Packages whose versions, beside MuJoCo's, decide what a cell of each kind holds.
 _PACKAGES: Mapping[Kind, tuple[str, ...]] = {
-    "data": ("mujoco", "numpy"),
-    "part": ("mujoco", "numpy"),
-    "diagnosis": ("mujoco", "numpy", "scipy"),
-    "train": ("torch", "mujoco", "numpy"),
-    "evaluation": ("torch", "mujoco", "numpy"),
+    "data": ("numpy",),
+    "part": ("numpy",),
+    "diagnosis": ("numpy", "scipy"),
+    "train": ("torch", "numpy"),
+    "evaluation": ("torch", "numpy"),
 }
 
 
@@ -109,8 +111,9 @@ def digests(cells: Mapping[str, Cell]) -> dict[str, str]:
 
 @cache
 def versions(kind: Kind) -> dict[str, str]:
-    """Return the versions that decide what a cell of a kind holds."""
-    return {"candata": __version__, **{name: metadata.version(name) for name in _PACKAGES[kind]}}
+    """Return the versions that decide what a cell of a kind holds; MuJoCo's own, as several packages bring it."""
+    packages = {name: metadata.version(name) for name in _PACKAGES[kind]}
+    return {"candata": __version__, "mujoco": mujoco.__version__, **packages}
 
 
 def cell_folder(out: Path, cell: Cell, digest: str) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from candata.effects import EFFECTS, effect, effect_names
@@ -44,7 +44,7 @@ class ReportContext:
     Attributes
     ----------
     folder : Path
-        Where the report's files lie, as seen from where its reader stands.
+        Where the report's files lie, as seen from where its reader stands. A page is read in it: see `beside_files`.
     groups : mapping of str to tuple of str
         The joints of each group of the scene.
     mjcf_lines : tuple of str
@@ -54,6 +54,10 @@ class ReportContext:
     folder: Path = Path()
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     mjcf_lines: tuple[str, ...] = ()
+
+    def beside_files(self) -> ReportContext:
+        """Return the same for a reader who stands in the folder: nothing of it depends on where the folder lies."""
+        return replace(self, folder=Path())
 
     def path(self, file: str) -> str:
         """Return the path of a file of the report, as a shell takes it."""

@@ -78,9 +78,9 @@ def write_report(
     effects_yaml : str
         Text of `effects.yaml`, shown with a button that copies it.
     context : ReportContext, optional
-        What advice needs beside the record; by default the folder alone.
+        What advice needs beside the record; by default nothing is known. Its folder is not looked at: a page names
+        the files beside it, so it is the same wherever it lies.
     """
-    context = context or ReportContext(Path(out))
     return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml, context), "report")
 
 
@@ -92,7 +92,7 @@ def page(
     context: ReportContext | None = None,
 ) -> str:
     """Return the whole page as text."""
-    context = context or ReportContext()
+    context = (context or ReportContext()).beside_files()
     headline = outcome.headline(report)
     return render_page(
         "diagnosis",

@@ -6,6 +6,7 @@ import html
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 from candata.datasets import create_dataset, open_dataset
+from candata.reports import ReportContext, summary
 from candata.schema.effect import EffectsFile
 from candata.schema.report import Report
 from tests.cli.command import run
@@ -98,16 +100,24 @@ def test_notes_go_to_stderr(diagnosed):
     assert diagnosed.err.endswith(f"report: {diagnosed.out / 'report.html'}\n")
 
 
-def test_the_pages_commands_run_as_they_are_printed(diagnosed, tmp_path, monkeypatch):
-    """One simulates with the repair, the other writes the line of MJCF that the page shows."""
-    monkeypatch.chdir(tmp_path)
-    text = html.unescape((diagnosed.out / "report.html").read_text("utf-8"))
-    commands = re.findall(r"<code>candata (.*?)</code>", text)
+@pytest.mark.parametrize("says", ["page", "summary"])
+def test_commands_run_as_they_are_printed(diagnosed, tmp_path, monkeypatch, says):
+    """Those of the page in its folder, wherever that lies; those of the summary where the diagnosis ran."""
+    copy = tmp_path / "sent by mail" / "report"
+    shutil.copytree(diagnosed.out, copy)
+    page = html.unescape((copy / "report.html").read_text("utf-8"))
+    assert '<option cone="elliptic"/>' in page
+    if says == "page":
+        stands, commands = copy, re.findall(r"<code>candata (.*?)</code>", page)
+    else:
+        context = ReportContext(copy.relative_to(tmp_path), mjcf_lines=('<option cone="elliptic"/>',))
+        text = summary(Report.model_validate_json((copy / "report.json").read_text()), context)
+        stands, commands = tmp_path, re.findall(r"^  candata (.*)$", text, re.M)
+    monkeypatch.chdir(stands)
     assert [command.split(" --")[0] for command in commands] == ["generate-sim", "scene export"]
     assert [run(*shlex.split(command)).code for command in commands] == [0, 0]
-    assert len(open_dataset(tmp_path / "repaired")) == 8
-    assert '<option cone="elliptic"/>' in text
-    assert 'cone="elliptic"' in (tmp_path / "repaired_model" / "scene.xml").read_text()
+    assert len(open_dataset(stands / "repaired")) == 8
+    assert 'cone="elliptic"' in (stands / "repaired_model" / "scene.xml").read_text()
 
 
 def test_the_dataset_is_named_with_its_digest(diagnosed):

@@ -51,10 +51,10 @@ def test_json_has_every_key(tmp_path):
 
 
 def test_a_package_that_is_needed_and_missing_exits_1(monkeypatch):
-    monkeypatch.setattr(_environment, "version_of", lambda name: None if name == "mujoco" else "1.2")
+    monkeypatch.setattr(_environment, "version_of", lambda name: None if name == "mujoco-core" else "1.2")
     result = run()
     assert result.exit_code == 1
-    assert "mujoco                     missing\n" in result.stdout
+    assert "mujoco-core                missing\n" in result.stdout
 
 
 def test_a_folder_that_fails_exits_1_and_says_what_to_do(tmp_path, monkeypatch):
