@@ -66,7 +66,7 @@ def collinearity(matrix: Collinearity) -> Markup:
     """Return the cosines between what the candidates change, the numbers of the columns being the rows'."""
     count = len(matrix.labels)
     rows = [
-        HeatRow(label, words.readable_name(label), tuple(_cosine_cell(matrix, k, j) for j in range(count)))
+        HeatRow(label, words.label_title(label), tuple(_cosine_cell(matrix, k, j) for j in range(count)))
         for k, label in enumerate(matrix.labels)
     ]
     return render("collinearity", rows=rows)

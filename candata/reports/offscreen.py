@@ -26,6 +26,8 @@ def main(folder: Path) -> None:
     import mujoco
     import numpy as np
 
+    from candata.reports.ghost import ghost_geoms, show_parted
+
     model = mujoco.MjModel.from_binary_path(str(folder / MODEL))
     request = json.loads((folder / REQUEST).read_text())
     width, height = 2 * request["width"], 2 * request["height"]
@@ -57,6 +59,7 @@ def main(folder: Path) -> None:
     if with_ghost:
         ghost_model = mujoco.MjModel.from_binary_path(str(folder / GHOST_MODEL))
         ghost_data, ghost_poses = mujoco.MjData(ghost_model), np.load(folder / GHOST_POSES)
+        geoms = ghost_geoms(ghost_model)
         shown = mujoco.MjvOption(), mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
     frames = []
     for row, pose in enumerate(np.load(folder / POSES)):
@@ -67,6 +70,7 @@ def main(folder: Path) -> None:
         if with_ghost and np.isfinite(ghost_poses[row]).all():
             ghost_data.qpos[:] = ghost_poses[row]
             mujoco.mj_forward(ghost_model, ghost_data)
+            show_parted(ghost_model, geoms, ghost_data, data)
             solid_depth_m = depth_m()
             mujoco.mjv_addGeoms(ghost_model, ghost_data, *shown, renderer.scene)
             is_ghost = depth_m() < solid_depth_m - request["clearance_m"]

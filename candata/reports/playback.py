@@ -240,6 +240,7 @@ def _scene_geometry(scene_poser: ScenePoser) -> dict[str, Any]:
                 "solids": [
                     {
                         "colour": solid.colour,
+                        "closed": solid.is_closed,
                         "vertices": _packed(solid.vertices),
                         "faces": base64.b64encode(solid.faces.astype("<u2").tobytes()).decode(),
                     }

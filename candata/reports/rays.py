@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.reports.camera import SHOWN_GROUPS, FreeCamera, Pinhole, pinhole
-from candata.reports.ghost import CLEARANCE_M, OPACITY, Ghost, ghost_model
+from candata.reports.ghost import CLEARANCE_M, OPACITY, Ghost, ghost_geoms, ghost_model, show_parted
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
@@ -34,10 +34,12 @@ def draw(
     data, frames = mujoco.MjData(model), []
     alone = None if ghost is None else ghost_model(model, ghost)
     ghost_data = None if alone is None else mujoco.MjData(alone)
+    geoms = None if alone is None else ghost_geoms(alone)
     for row, pose in enumerate(qpos):
         states = [(model, _forward(model, data, pose))]
         if ghost is not None and np.isfinite(ghost.qpos[row]).all():
             states.append((alone, _forward(alone, ghost_data, ghost.qpos[row])))
+            show_parted(alone, geoms, ghost_data, data)
         frames.append(_frame(states, pinhole(model, data, camera), width, height))
     return frames
 

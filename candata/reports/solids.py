@@ -42,6 +42,15 @@ class Solid:
     faces: NDArray[np.int64]
     colour: tuple[float, ...]
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether it has no hole, is opaque, and its faces turn counterclockwise as seen from outside.
+
+        Faces that turn away are then hidden by others.
+        """
+        mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        return bool(self.colour[3] == 1 and mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0)
+
 
 def solids(model: mujoco.MjModel, body: int) -> tuple[Solid, ...]:
     """Return the shown geoms of one body as triangles; fields and invisible geoms are left out."""

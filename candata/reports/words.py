@@ -81,6 +81,8 @@ def where_headline(report: Report) -> str:
         return ""
     strongest_symptom = report.where[0]
     phase = f", {readable_name(strongest_symptom.phase)}" if strongest_symptom.phase else ""
+    if strongest_symptom.element and strongest_symptom.channel != "object_pose":
+        return strongest_symptom.element + phase  # a name of the model's, written as it is
     return sentence_case(strongest_symptom.element or _channel_words(strongest_symptom.channel)) + phase
 
 

@@ -142,6 +142,14 @@ def test_solids_fill_the_space_of_their_geoms():
     np.testing.assert_allclose(np.abs(cylinder.vertices[:, 1]).max(), 0.2, atol=1e-9)
 
 
+def test_faces_that_turn_away_are_left_out_of_closed_solids_alone():
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody>
+      <geom type="box" size=".1 .2 .3"/> <geom type="capsule" size=".05 .1"/> <geom size=".1"/>
+      <geom type="cylinder" size=".1 .2"/> <geom type="plane" size="1 1 1"/> <geom size=".1" rgba="1 0 0 .5"/>
+      </worldbody></mujoco>""")
+    assert [solid.is_closed for solid in solids(model, 0)] == [True] * 4 + [False] * 2
+
+
 def test_a_mesh_keeps_its_shape_with_few_triangles():
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     vertices, faces = simplified(np.array(ball.vertices), np.array(ball.faces), 300)

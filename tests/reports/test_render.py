@@ -149,6 +149,22 @@ def test_a_ghost_is_seen_only_where_it_stands_clear_of_what_is_solid(no_gl):
         assert is_pink[15, 20] == is_seen
 
 
+@pytest.mark.parametrize(("higher_m", "is_seen"), [(0.75 * CLEARANCE_M, False), (2 * CLEARANCE_M, True)])
+def test_a_ghost_is_seen_where_its_geom_is_elsewhere_however_flat_the_view(no_gl, higher_m, is_seen):
+    """The camera looks along the top of a box: a top that is 3 mm higher lies more than 4 mm nearer to it."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body pos="0 0 .1"><freejoint/>
+      <geom type="box" size=".1 .1 .1"/></body></worldbody></mujoco>""")
+    view = camera.fit_camera(model, model.qpos0[None], 40 / 30)
+    moved = model.qpos0.copy()
+    moved[2] += higher_m
+    assert higher_m / -view.direction[2] > CLEARANCE_M
+    plain, ghostly = (
+        render.render_frames(model, model.qpos0, view, 40, 30, ghost).frames[0].astype(int)
+        for ghost in (None, Ghost((0,), moved[None]))
+    )
+    assert (np.abs(ghostly - plain).max() > 40) == is_seen
+
+
 def test_models_without_geoms_or_joints_can_be_drawn(no_gl):
     for xml in ("<mujoco/>", '<mujoco><worldbody><geom size=".1"/></worldbody></mujoco>'):
         model = mujoco.MjModel.from_xml_string(xml)

@@ -107,6 +107,7 @@
         for (let i = 0; i < solid.faces.length; i += 3) {
           const [u, v, w] = [points[solid.faces[i]], points[solid.faces[i + 1]], points[solid.faces[i + 2]]];
           const area = (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0]);
+          if (solid.closed && area >= 0) continue;
           const depth = (u[2] + v[2] + w[2]) / 3, scale = seen.scaleAt(depth);
           const facing = Math.min(Math.abs(area) / (solid.areas[i / 3] * scale * scale || 1), 1);
           (body.still ? still : moving).push([depth, [u, v, w], solid.colour, 0.55 + 0.45 * facing]);
