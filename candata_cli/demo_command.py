@@ -148,7 +148,7 @@ def _print(report: Report, context: ReportContext, truth: EffectSetting, page: P
 
     out(summary(report, context))
     out("")
-    out(f"seal opened: {_label(truth).replace(' ', ' on ')}, {judge(report, truth)}")
+    out(f"hidden fault: {_label(truth).replace(' ', ' on ')}, {judge(report, truth)}")
     out_table(("", "hidden", "found", "90 % interval"), list(_rows(report, truth)))
     out("")
     out(f"report: {page}")

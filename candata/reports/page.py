@@ -14,6 +14,7 @@ from candata.reports import advice, exhibits, figures, heat, outcome, tables, wo
 from candata.reports.advice import ReportContext
 from candata.reports.document import render_page
 from candata.reports.filmstrip import filmstrip
+from candata.reports.ghost import CLEARANCE_M
 from candata.reports.numbers import percent
 from candata.schema.report import Report
 
@@ -114,6 +115,7 @@ def page(
         alike_cosine=heat.ALIKE_COSINE,
         panel_key=_panel_key(report, evidence),
         filmstrip=filmstrip(model, evidence.example, words.after_name(report)) if evidence.example else "",
+        clearance_mm=f"{1000 * CLEARANCE_M:g}",
         example=evidence.example,
         traces=_traces(evidence.example) if evidence.example else [],
         named_effects=tables.effect_rows(report, evidence.ranges),

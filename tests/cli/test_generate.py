@@ -346,7 +346,7 @@ def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
     printed = capsys.readouterr().out
     folder = tmp_path / "seed-2"
     assert calls == [("real", "xhand_tabletop", 1, 2)]
-    assert "seal opened: object_mass, found\n" in printed
+    assert "hidden fault: object_mass, found\n" in printed
     assert re.search(r"mass_scale +[12]\.\d+ +2 +1\.9 \.\. 2\.1", printed)
     assert f"candata generate-sim --effects {folder / 'report' / 'effects.yaml'} " in printed
     assert printed.endswith(f"report: {folder / 'report' / 'report.html'}\n")
