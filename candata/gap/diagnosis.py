@@ -14,38 +14,38 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
-from candata.gap.attribute import Attribution, attribute
-from candata.gap.averaged import ALL, SOME, sizes_in_mean
-from candata.gap.budget import Budget, BudgetSpent
-from candata.gap.calibration import reference_fit, with_calibration
-from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
-from candata.gap.edit import FEW_REPLICAS, replayed
-from candata.gap.effort_unit import with_effort_unit
-from candata.gap.floor import spread
-from candata.gap.folds import folds
-from candata.gap.lengths import with_lengths
-from candata.gap.mismatch import checked
-from candata.gap.noise import sensor_noise
-from candata.gap.null_test import leaves_gap, with_names_tested
-from candata.gap.origin import title
-from candata.gap.outlook import say_outlook
-from candata.gap.own_floor import in_world
-from candata.gap.pace import FORCE, REST, Forecast, Pace
-from candata.gap.recordings import Recordings, read
-from candata.gap.reference import changed_since
-from candata.gap.repeats import deviation_of_others, slow_deviation
-from candata.gap.replay import ReplayedSteps, Replayer, replay_all
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.search import Fit, Problem, SoFar
-from candata.gap.shortlist import with_telling
-from candata.gap.shrink import HeldOut, gap, held_out
-from candata.gap.signatures import library, sharing_note
-from candata.gap.starts import start_notes, starts
-from candata.gap.streams import Streams
-from candata.gap.unfinished import unfinished
-from candata.gap.untested import library as searchable
-from candata.gap.verdict import FEWEST, verdict
+from candata.gap.data.noise import sensor_noise
+from candata.gap.data.recordings import Recordings, read
+from candata.gap.data.testability import library as searchable
+from candata.gap.fit.folds import folds
+from candata.gap.fit.lengths import with_lengths
+from candata.gap.fit.problem import Fit, Problem, SoFar
+from candata.gap.fit.signatures import library, sharing_note
+from candata.gap.fit.world_floor import in_world
+from candata.gap.measure.floor import spread
+from candata.gap.measure.reference import changed_since
+from candata.gap.measure.repeats import deviation_of_others, slow_deviation
+from candata.gap.measure.score import score
+from candata.gap.mismatch.check import checked
+from candata.gap.replay.budget import Budget, BudgetSpent
+from candata.gap.replay.effort_unit import with_effort_unit
+from candata.gap.replay.replayer import ReplayedSteps, Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import start_notes, starts
+from candata.gap.run.pace import FORCE, REST, Forecast, Pace
+from candata.gap.run.streams import Streams
+from candata.gap.screening.shortlist import with_telling
+from candata.gap.search.attribution import Attribution, attribute
+from candata.gap.search.outlook import say_outlook
+from candata.gap.search.replay_means import ALL, SOME, sizes_in_mean
+from candata.gap.validation.closure import HeldOut, gap, held_out
+from candata.gap.validation.null_test import leaves_gap, with_names_tested
+from candata.gap.verdict.calibration import reference_fit, with_calibration
+from candata.gap.verdict.conclusion import Diagnosis, Findings, concluded, too_little
+from candata.gap.verdict.edit_test import FEW_REPLICAS, replayed
+from candata.gap.verdict.interruption import unfinished
+from candata.gap.verdict.provenance import title
+from candata.gap.verdict.verdict import FEWEST, verdict
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.simulate import with_effects

@@ -9,7 +9,7 @@ import yaml
 
 from candata.datasets.writing import write_text
 from candata.gap import Diagnosis
-from candata.gap.proposal import MOTION_FILE
+from candata.gap.verdict.proposal import MOTION_FILE
 from candata.policies import write_motions
 from candata.reports.page import write_report
 from candata.reports.words import calibration_sentence

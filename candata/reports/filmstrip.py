@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from markupsafe import Markup
 
-from candata.gap.evidence import Example
+from candata.gap.verdict.figures import Example
 from candata.reports.document import render
 from candata.reports.png import data_uri
 from candata.reports.render import render_frames

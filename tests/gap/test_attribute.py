@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import attribute
-from candata.gap.candidates import candidate
-from candata.gap.compare import error_within, standard_error
-from candata.gap.folds import CrossFit
-from candata.gap.search import Fit
-from candata.gap.stage import STEADY, Stage
-from candata.gap.worth import LARGEST, is_full
+from candata.gap.fit.acceptance import LARGEST, is_full
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.comparison import error_within, standard_error
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.problem import Fit
+from candata.gap.screening.look import STEADY, Stage
+from candata.gap.search import attribution as attribute
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])

@@ -7,19 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import attribute, averaged, diagnosis
-from candata.gap.averaged import Averaged, faint, placed
-from candata.gap.candidates import candidate, local_candidates
+from candata.gap import diagnosis
+from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
-from candata.gap.folds import CrossFit
-from candata.gap.pace import Pace
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.screen import respond
-from candata.gap.search import Fit
-from candata.gap.shortlist import brief
-from candata.gap.stage import Stage
-from candata.gap.streams import Streams
+from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.problem import Fit
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.pace import Pace
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import Stage
+from candata.gap.screening.shortlist import brief
+from candata.gap.screening.signature_screen import respond
+from candata.gap.search import attribution as attribute
+from candata.gap.search import replay_means as averaged
+from candata.gap.search.replay_means import Averaged, faint, placed
 from candata.scenes import load_scene
 
 #: The fault that one replay hides: one fingertip's rolling friction [m], at a place of the range it is drawn from.

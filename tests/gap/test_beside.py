@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from candata.gap import refine
-from candata.gap import replay as replays
-from candata.gap.candidates import candidate
+from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, needs_simulation, replay
-from candata.gap.screen import respond, screening
-from candata.gap.signatures import Library
-from candata.gap.streams import Streams
-from candata.gap.wanted import wanted
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.signatures import Library
+from candata.gap.replay import replayer as replays
+from candata.gap.replay.replayer import Replayer, needs_simulation, replay
+from candata.gap.run.streams import Streams
+from candata.gap.screening import refinement as refine
+from candata.gap.screening.demand import wanted
+from candata.gap.screening.signature_screen import respond, screening
 from tests.effects.gripper import ROLES, write_scene
 
 NOISE = "noise: {object_pose: [0.0005, 0.004], joint_position: 0.001, fingertip_force: 0.02}\n"

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import conclusion, unknown
+from candata.gap.verdict import conclusion
+from candata.gap.verdict import unknown_cause as unknown
 from candata.schema.report import Gap
 
 

@@ -14,7 +14,7 @@ from candata.gap.blind.cases import CASES, hidden_world, make_cases, open_labels
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.running import Place
 from candata.gap.blind.scoring import score_run
-from candata.gap.proposal import PLAYED
+from candata.gap.verdict.proposal import PLAYED
 from candata.policies import Motion
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.gap import edit, floor, replay
-from candata.gap.edit import KEPT, edit_test
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.measure import floor
+from candata.gap.replay import replayer as replay
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.verdict import edit_test as edit
+from candata.gap.verdict.edit_test import KEPT, edit_test
 from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 

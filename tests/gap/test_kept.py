@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from candata.gap import kept
+from candata.gap.run import cache as kept
 
 ARRAYS = {
     "raw": np.arange(24.0).reshape(2, 3, 4),

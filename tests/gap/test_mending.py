@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import mending
-from candata.gap.attribute import attribute
-from candata.gap.candidates import candidate
+from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
-from candata.gap.mending import Doubt, LoneForce
-from candata.gap.recordings import recordings
-from candata.gap.refine import joint
-from candata.gap.replay import Replayer
-from candata.gap.shortlist import brief
-from candata.gap.streams import Streams
+from candata.gap.fit.candidates import candidate
+from candata.gap.force import mending
+from candata.gap.force.mending import Doubt, LoneForce
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.shortlist import brief
+from candata.gap.search.attribution import attribute
 from tests.gap import hidden
 
 

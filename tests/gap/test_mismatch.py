@@ -10,12 +10,12 @@ import pytest
 
 from candata.effects import effect, effect_names
 from candata.errors import DataError
-from candata.gap import mismatch_shifts as shifts
-from candata.gap.candidates import candidate
-from candata.gap.mismatch import checked, mismatch
-from candata.gap.mismatch_commands import paired
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.mismatch import shifts
+from candata.gap.mismatch.check import checked, mismatch
+from candata.gap.mismatch.commands import paired
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import Scene, load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.simulate import at_rest, rollout

@@ -9,17 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import refine
-from candata.gap.candidates import Candidate, candidate
+from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
-from candata.gap.floor import perturbed
-from candata.gap.folds import cross_fit
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.response import Plane
-from candata.gap.screen import respond
-from candata.gap.search import Fit, Problem, fit_one
-from candata.gap.streams import Streams
+from candata.gap.fit.candidates import Candidate, candidate
+from candata.gap.fit.folds import cross_fit
+from candata.gap.fit.problem import Fit, Problem, fit_one
+from candata.gap.fit.response import Plane
+from candata.gap.measure.floor import perturbed
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening import refinement as refine
+from candata.gap.screening.signature_screen import respond
 
 
 @pytest.fixture(scope="module")

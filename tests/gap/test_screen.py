@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import screen
-from candata.gap.candidates import candidate
+from candata.gap.fit.candidates import candidate
+from candata.gap.screening import signature_screen as screen
 
 POINTS = [np.array(u) for u in ((-0.1, 0.0), (0.1, 0.0), (0.0, -0.1), (0.0, 0.1))]
 

@@ -8,13 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import attribute, uneven
-from candata.gap.candidates import candidate, local_candidates
+from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.stage import look
-from candata.gap.streams import Streams
+from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import look
+from candata.gap.search import attribution as attribute
+from candata.gap.search import episode_counts as uneven
 
 #: What most episodes were recorded with, and the few others: as if an object had slipped there.
 MOST, OTHERS = 0.02, 0.08

@@ -9,20 +9,21 @@ import pytest
 import yaml
 
 from candata.effects._residual_terms import OBJECT_TERMS
-from candata.gap import mending, unknown
-from candata.gap.floor import floor
-from candata.gap.folds import folds
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residual_force import residual_force
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.search import Problem
-from candata.gap.starts import starts
-from candata.gap.stopgap import Stopgap
-from candata.gap.streams import Streams
-from candata.gap.suspects import suspects
-from candata.gap.unknown import describe
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.fit.folds import folds
+from candata.gap.fit.problem import Problem
+from candata.gap.force import mending
+from candata.gap.force.residual_force import residual_force
+from candata.gap.force.stopgap import Stopgap
+from candata.gap.force.suspects import suspects
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import score
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
+from candata.gap.run.streams import Streams
+from candata.gap.verdict import unknown_cause as unknown
+from candata.gap.verdict.unknown_cause import describe
 from candata.reports.files import STOPGAP, write_diagnosis
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from candata.gap.evidence import (
+from candata.gap.verdict.figures import (
     Collinearity,
     Course,
     Element,

@@ -11,7 +11,7 @@ import yaml
 
 from candata.errors import SetupError
 from candata.gap import Diagnosis
-from candata.gap.evidence import Evidence
+from candata.gap.verdict.figures import Evidence
 from candata.reports import effects_text, write_diagnosis
 from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.report import Report

@@ -24,8 +24,8 @@ from candata.datasets.drafts import draft_beside, place
 from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
-from candata.gap.conclusion import lasting
-from candata.gap.noise import scaled_noise
+from candata.gap.data.noise import scaled_noise
+from candata.gap.verdict.conclusion import lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode

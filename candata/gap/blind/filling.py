@@ -17,15 +17,15 @@ from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, Where
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.running import Place
-from candata.gap.conclusion import lasting
+from candata.gap.data.recordings import Recordings, read
 from candata.gap.diagnosis import posed
-from candata.gap.recordings import Recordings, read
-from candata.gap.replay import EffectSet, Replayer
-from candata.gap.search import Problem
-from candata.gap.signatures import alike
-from candata.gap.starts import Starts, starts
-from candata.gap.verdict import FEWEST
-from candata.gap.wanted import Depth, wanted
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.signatures import alike
+from candata.gap.replay.replayer import EffectSet, Replayer
+from candata.gap.replay.starts import Starts, starts
+from candata.gap.screening.demand import Depth, wanted
+from candata.gap.verdict.conclusion import lasting
+from candata.gap.verdict.verdict import FEWEST
 from candata.scenes.traits import is_toss
 from candata.schema.bench import FilledSignature
 

@@ -21,9 +21,9 @@ from candata.datasets.writing import write_text
 from candata.effects import effect_names, read_effects
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.gap.blind.running import finished, spread
-from candata.gap.conclusion import simulator
+from candata.gap.data.supply import CHANNEL
 from candata.gap.diagnosis import diagnose, near_reference
-from candata.gap.supply import CHANNEL
+from candata.gap.verdict.conclusion import simulator
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import BenchFile, BenchRow, Miss
 from candata.schema.episode import Episode
