@@ -17,9 +17,10 @@ from candata.errors import DataError, Where
 from candata.gap.data.noise import sensor_noise
 from candata.gap.data.recordings import Recordings, read
 from candata.gap.data.testability import library as searchable
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import folds
 from candata.gap.fit.lengths import with_lengths
-from candata.gap.fit.problem import Fit, Problem, SoFar
+from candata.gap.fit.problem import Problem, SoFar
 from candata.gap.fit.signatures import library, sharing_note
 from candata.gap.fit.world_floor import in_world
 from candata.gap.measure.floor import spread

@@ -13,7 +13,8 @@ from candata.gap import Diagnosis, diagnose
 from candata.gap.data.recordings import Recordings, recordings
 from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, candidates
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
 from candata.gap.measure.floor import Floor
 from candata.gap.measure.score import Score, score
 from candata.gap.replay.replayer import Replayer

@@ -11,9 +11,9 @@ import pytest
 from candata.gap.fit.acceptance import LARGEST, is_full
 from candata.gap.fit.candidates import candidate
 from candata.gap.fit.comparison import error_within, standard_error
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
-from candata.gap.fit.problem import Fit
-from candata.gap.screening.look import STEADY, Stage
+from candata.gap.fit.stage import STEADY, Stage
 from candata.gap.search import attribution as attribute
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.

@@ -11,12 +11,12 @@ from candata.gap import diagnosis
 from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
-from candata.gap.fit.problem import Fit
+from candata.gap.fit.stage import Stage
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.pace import Pace
 from candata.gap.run.streams import Streams
-from candata.gap.screening.look import Stage
 from candata.gap.screening.shortlist import brief
 from candata.gap.screening.signature_screen import respond
 from candata.gap.search import attribution as attribute

@@ -14,11 +14,11 @@ from candata.gap.data.recordings import recordings
 from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidates
 from candata.gap.fit.problem import Problem
+from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import in_world
 from candata.gap.replay.budget import Budget, BudgetSpent
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
-from candata.gap.screening.look import Stage
 from candata.gap.search.attribution import Attribution
 from candata.gap.search.joint_fit import joint_fit
 from candata.gap.validation.closure import held_out

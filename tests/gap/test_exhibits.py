@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from candata.gap.fit.candidates import candidate
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
-from candata.gap.fit.problem import Fit
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.measure.floor import Floor
 from candata.gap.measure.score import score

@@ -9,8 +9,8 @@ import pytest
 
 from candata.gap.data.robust_loss import weights
 from candata.gap.fit.candidates import candidate, typical_size
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
-from candata.gap.fit.problem import Fit
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.validation.closure import CURVED, FINEST, _axes, intervals
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from candata.gap.fit.candidates import candidate
-from candata.gap.fit.problem import Fit, key_of
+from candata.gap.fit.fits import Fit, key_of
 from candata.gap.moves import MOVES
 from candata.gap.moves._view import View
 from candata.gap.moves.split import SHARES

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from candata.gap.fit.acceptance import is_better
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
-from candata.gap.fit.problem import Fit
 from tests.gap.conftest import members
 
 EPISODES = 12

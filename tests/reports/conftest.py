@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from candata.gap.measure.symptoms import HeatMap
 from candata.gap.verdict.figures import (
     Collinearity,
     Course,
@@ -21,7 +22,6 @@ from candata.gap.verdict.figures import (
     EpisodeLosses,
     Evidence,
     Example,
-    HeatMap,
     Range,
     Trace,
 )

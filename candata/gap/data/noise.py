@@ -54,8 +54,6 @@ CALMER, ROUNDS = 0.9, 6
 #: Standard error of an estimated noise over that of all windows' mean (there: 0.021 over 0.013), and by how many per
 #: cent a mean loss rises where noise is one per cent larger (the Student-t loss of normal block means).
 INEFFICIENCY, LOSS_PER_NOISE = 1.6, 1.7
-
-
 _BASIS = np.linalg.qr(np.vander(np.arange(WINDOW) - (WINDOW - 1) / 2, DEGREE + 1, increasing=True))[0]
 
 

@@ -34,7 +34,6 @@ STAMP_ROWS, STAMP_SHARE = 3, 0.03
 #: Episodes that lack a channel are left out where this share and this many have it (fewer are not diagnosed);
 #: else the channel is.
 MOST, FEW = 2 / 3, 8
-
 #: Episodes that are read of a dataset, drawn at random where it holds more: memory and time then grow no further, and
 #: a share that is measured on some 450 episodes is known to about a per cent.
 READ = 512

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.comparison import BLUNT, error_within, null_level, standard_error
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
 
 Array = NDArray[np.float64]
 #: Most effects of a set that are searched for, beside those that were measured without a fit. Chosen.

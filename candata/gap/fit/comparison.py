@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate, elements_of
-from candata.gap.fit.problem import Fit
+from candata.gap.fit.fits import Fit
 from candata.gap.measure.score import Score
 from candata.scenes import Scene
 

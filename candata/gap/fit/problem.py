@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from candata.gap.data.noise import NoiseKind
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import Candidate
-from candata.gap.fit.folds import CrossFit, cross_fit
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.folds import cross_fit
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.fit.signatures import Library
 from candata.gap.measure.score import Compact, Score
@@ -25,11 +26,10 @@ from candata.scenes.traits import is_toss
 from candata.schema.scene import Noise
 
 if TYPE_CHECKING:
-    from candata.gap.screening.look import Stage
+    from candata.gap.fit.stage import Stage
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Members = tuple[tuple[Candidate, Array], ...]
 #: Replayed episodes that are kept, the newest ones: of two or three looks in which every effect of a hand is simulated
 #: on six, or of 150 worlds on twenty. (Of a hand of five fingers, 2304 numbers an episode, 55 MB.)
 KEPT = 3000
@@ -179,84 +179,6 @@ class Problem:
     def setting(self, members: Sequence[tuple[Candidate, Array]]) -> EffectSet:
         """Return the effect settings of candidates at coordinates."""
         return tuple(c.setting(u, self.replayer.scene) for c, u in members)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A set of candidates, fitted.
-
-    Attributes
-    ----------
-    members : tuple of (Candidate, coordinates)
-        Fitted on all episodes.
-    response : Curve or Plane
-        Around the fit; a plane's coordinates are the members' in order.
-    evidence : CrossFit
-        Held-out losses and gains over the empty set.
-    """
-
-    members: Members
-    response: Curve | Plane
-    evidence: CrossFit
-
-    @property
-    def gain(self) -> float:
-        """Mean held-out gain in floors."""
-        return float(self.evidence.gain.mean())
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels of the members."""
-        return tuple(c.label for c, _ in self.members)
-
-    @property
-    def curve(self) -> Curve:
-        """The response of a scalar."""
-        if not isinstance(self.response, Curve):
-            raise TypeError(f"{self.labels} has no curve")
-        return self.response
-
-    @property
-    def plane(self) -> Plane:
-        """The response of a vector or of a set."""
-        if not isinstance(self.response, Plane):
-            raise TypeError(f"{self.labels} has no plane")
-        return self.response
-
-    @property
-    def key(self) -> tuple[str, ...]:
-        """What makes two sets the same: labels, and the value of each choice."""
-        return key_of(self.members)
-
-    def led_by(self, label: str) -> Fit:
-        """Return the same set with one member before the others."""
-        order = sorted(range(len(self.members)), key=lambda i: self.labels[i] != label)
-        ends = np.cumsum([0, *(c.size for c, _ in self.members)])
-        numbers = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in order])
-        plane, evidence = self.plane, self.evidence
-        moved = replace(
-            plane, low=plane.low[numbers], high=plane.high[numbers], at=plane.at[numbers], slope=plane.slope[numbers]
-        )
-        points = evidence.points[:, numbers]
-        return Fit(tuple(self.members[i] for i in order), moved, replace(evidence, points=points))
-
-    def split(self, u: Array) -> Members:
-        """Return the members at stacked coordinates `u (d,)`."""
-        out, start = [], 0
-        for c, _ in self.members:
-            out.append((c, u[start : start + c.size]))
-            start += c.size
-        return tuple(out)
-
-
-def present(members: Members) -> Members:
-    """Return the members that are not at their neutral values."""
-    return tuple((c, u) for c, u in members if not c.is_neutral(u))
-
-
-def key_of(members: Members) -> tuple[str, ...]:
-    """Return what makes two sets of effects the same: labels, and the value of each choice."""
-    return tuple(sorted(f"{c.label}={u.tolist()}" if c.choices else c.label for c, u in members))
 
 
 def fit_one(problem: Problem, c: Candidate, response: Curve | Plane, base: Array) -> Fit:

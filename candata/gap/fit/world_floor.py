@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from candata.gap.fit.acceptance import leaves
+from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import cross_fit
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.problem import Problem
 from candata.gap.measure.floor import floor
 from candata.gap.measure.score import score
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 from candata.gap.data.robust_loss import rho
 from candata.gap.measure.score import Compact, Score
 from candata.gap.replay.residuals import Layout
-from candata.gap.verdict.figures import HeatMap
 from candata.scenes import Scene
 from candata.schema.report import Symptom
 
@@ -107,3 +107,25 @@ def slides(scene: Scene) -> list[str]:
     """Return the names of slide joints: a wrist on rails."""
     slide = mujoco.mjtJoint.mjJNT_SLIDE
     return [j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide]
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """Excess of the recorded loss over the floor, channel element by phase.
+
+    Attributes
+    ----------
+    rows : tuple of str
+        `channel` or `channel element` labels.
+    phases : tuple of str
+        Column labels.
+    ratio : (R, P) float64
+        Loss over floor; 1 is the floor, NaN where there is no data.
+    p : (R, P) float64
+        Family-wise p-value over episodes; NaN where there is no data.
+    """
+
+    rows: tuple[str, ...]
+    phases: tuple[str, ...]
+    ratio: Array
+    p: Array

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from candata.gap.fit.problem import Members
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
 from candata.plugins import load, names
 

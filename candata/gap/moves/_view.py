@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.acceptance import is_full
 from candata.gap.fit.candidates import Candidate
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
 from candata.gap.measure.score import Compact
 from candata.gap.screening.elements import promising

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
-from candata.gap.fit.problem import Members
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View, free
 
 #: Proposals in the place of each member.

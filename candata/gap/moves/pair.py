@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from candata.gap.fit.problem import Members
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
 from candata.gap.screening.shortlist import brief
 from candata.gap.screening.sums import sums

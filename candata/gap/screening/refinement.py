@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from candata.gap.data.robust_loss import weights
 from candata.gap.fit.candidates import FEW_NUMBERS, Candidate, typical_size
+from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import CrossFit, cross_fit
-from candata.gap.fit.problem import Fit, Members, Problem, fit_one
+from candata.gap.fit.problem import Problem, fit_one
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.measure.score import Compact
 from candata.gap.replay.replayer import is_simulated

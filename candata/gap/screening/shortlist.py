@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate
+from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import cross_fit
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.measure.score import Compact
 from candata.gap.screening.elements import promising

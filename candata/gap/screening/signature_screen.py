@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import FEW_NUMBERS, Candidate, first_probes, probes
-from candata.gap.fit.problem import Members, Problem
+from candata.gap.fit.fits import Members
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.fit.signatures import is_read_at_start
 from candata.gap.measure.score import Compact

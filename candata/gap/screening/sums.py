@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.acceptance import LARGEST
 from candata.gap.fit.candidates import Candidate
-from candata.gap.fit.problem import Members, Problem
+from candata.gap.fit.fits import Members
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.measure.score import Compact
 from candata.gap.screening.signature_screen import slope_of

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.acceptance import MOST, is_better, is_full, leaves, left_by
 from candata.gap.fit.comparison import BLUNT, UNSURE, is_tied
-from candata.gap.fit.problem import Fit, Members, Problem, key_of
+from candata.gap.fit.fits import Fit, Members, key_of
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.world_floor import in_units, rescored
 from candata.gap.moves import MOVES, Move
 from candata.gap.moves._view import View

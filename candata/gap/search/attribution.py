@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 
 from candata.gap.fit.acceptance import LEFT, MOST, left_by
 from candata.gap.fit.comparison import UNSURE, is_tied, null_level, tied_with
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import Grown, judged
 from candata.gap.force.mending import Doubt, LoneForce, Mended
 from candata.gap.measure.score import Score
 from candata.gap.run.pace import AGAIN, REST, SHARPEN
-from candata.gap.screening.look import Stage, as_simulated, look, look_again, narrowed, sharpened, unheld
+from candata.gap.screening.look import as_simulated, look, look_again, narrowed, sharpened, unheld
 from candata.gap.screening.refinement import joint, polished
 from candata.gap.screening.shortlist import WORTH, gains_share, looked_into
 from candata.gap.search.agenda import aliases, begun, search

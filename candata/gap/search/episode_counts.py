@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate, everywhere, probes
 from candata.gap.fit.comparison import null_level, standard_error
+from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import CrossFit, rest
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
+from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import in_world
 from candata.gap.measure.score import Compact, Score
 from candata.gap.run.pace import COUNT
-from candata.gap.screening.look import Stage
 from candata.gap.screening.shortlist import few, taken
 
 Array = NDArray[np.float64]

@@ -21,8 +21,9 @@ from scipy.stats import qmc
 from candata.gap.data.robust_loss import rho, weights
 from candata.gap.fit.candidates import Candidate
 from candata.gap.fit.comparison import standard_error
+from candata.gap.fit.fits import Fit, Members, present
 from candata.gap.fit.folds import FOLDS, CrossFit, rest
-from candata.gap.fit.problem import Fit, Members, Problem, present
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
 from candata.gap.measure.score import Compact
 from candata.gap.screening.shortlist import few, taken

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate, typical_size
-from candata.gap.fit.problem import Members, Problem, present
+from candata.gap.fit.fits import Members, present
+from candata.gap.fit.problem import Problem
 from candata.gap.measure.score import Compact
 from candata.gap.screening.refinement import divided
 from candata.statistics import MAD_TO_SD

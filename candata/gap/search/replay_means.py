@@ -12,16 +12,17 @@ from candata.effects import parameters_on
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import Candidate, candidate, elements_of, local_candidates
 from candata.gap.fit.comparison import is_tied, standard_error
+from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit, rest
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane, vertex
+from candata.gap.fit.stage import Stage
 from candata.gap.measure.floor import null_recordings, perturbed
 from candata.gap.measure.score import Score
 from candata.gap.replay.replayer import EffectSet, is_simulated, name_of, replay_all
 from candata.gap.replay.residuals import residual
 from candata.gap.replay.starts import starts
 from candata.gap.run.pace import MEAN, REST
-from candata.gap.screening.look import Stage
 from candata.gap.screening.shortlist import brief
 from candata.rotation import exp, multiply
 from candata.schema.scene import Noise

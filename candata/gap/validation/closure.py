@@ -12,7 +12,8 @@ from candata.gap.data.recordings import Recordings
 from candata.gap.data.robust_loss import weights
 from candata.gap.fit.candidates import typical_size
 from candata.gap.fit.comparison import BLUNT, standard_error
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.replay.replayer import needs_simulation, replay_all
 from candata.gap.replay.residuals import residual

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate
 from candata.gap.fit.comparison import null_level, standard_error
-from candata.gap.fit.problem import Fit, Members, Problem
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.world_floor import judged
 from candata.gap.measure.floor import null_recordings
 from candata.gap.replay.replayer import replay_all

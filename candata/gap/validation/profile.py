@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.comparison import standard_error
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
 from candata.gap.screening.shortlist import taken
 from candata.gap.validation.closure import NORMAL, RISEN, every_other, intervals
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from candata.effects import effect
 from candata.gap.fit.candidates import Candidate, candidates, typical_size
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
 from candata.gap.replay.budget import BudgetSpent
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.run.pace import Span

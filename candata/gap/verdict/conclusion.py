@@ -14,12 +14,13 @@ from candata.datasets import Dataset
 from candata.effects import rail_units
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import Candidate
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.stage import Stage
 from candata.gap.force.mending import mended
 from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.replay.residuals import residual
-from candata.gap.screening.look import Stage
 from candata.gap.search.attribution import Attribution
 from candata.gap.validation.closure import HeldOut, gap, measures, shares, support, trust
 from candata.gap.validation.profile import Known, known

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.data.recordings import Recordings
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
 from candata.gap.replay.replayer import replay
 from candata.gap.replay.residuals import residual
 from candata.gap.validation.closure import HeldOut

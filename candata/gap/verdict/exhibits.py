@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import parameters_on
-from candata.gap.fit.problem import Fit, Problem
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve
 from candata.gap.measure.score import Compact, Score
 from candata.gap.replay.residuals import Layout, residual

@@ -8,29 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.measure.symptoms import HeatMap
+
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class HeatMap:
-    """Excess of the recorded loss over the floor, channel element by phase.
-
-    Attributes
-    ----------
-    rows : tuple of str
-        `channel` or `channel element` labels.
-    phases : tuple of str
-        Column labels.
-    ratio : (R, P) float64
-        Loss over floor; 1 is the floor, NaN where there is no data.
-    p : (R, P) float64
-        Family-wise p-value over episodes; NaN where there is no data.
-    """
-
-    rows: tuple[str, ...]
-    phases: tuple[str, ...]
-    ratio: Array
-    p: Array
 
 
 @dataclass(frozen=True)

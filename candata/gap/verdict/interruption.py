@@ -10,12 +10,13 @@ import numpy as np
 from candata.datasets import Dataset
 from candata.gap.fit.comparison import null_level
 from candata.gap.fit.problem import Problem, SoFar, fit_one
+from candata.gap.fit.stage import Stage
 from candata.gap.measure.floor import REPLICAS, WORLDS
 from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.budget import Budget
 from candata.gap.replay.replayer import needs_simulation
 from candata.gap.run.pace import REST
-from candata.gap.screening.look import Stage, unheld
+from candata.gap.screening.look import unheld
 from candata.gap.screening.shortlist import brief
 from candata.gap.screening.signature_screen import respond, screening
 from candata.gap.search.outlook import first_cause

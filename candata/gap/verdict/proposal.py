@@ -8,7 +8,7 @@ from candata.effects import effect
 from candata.errors import DataError
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.problem import Problem
-from candata.gap.screening.look import MATTERS
+from candata.gap.fit.stage import MATTERS
 from candata.gap.search.attribution import Attribution
 from candata.gap.validation.closure import separating_task
 from candata.gap.verdict.next_motion import RIVALS, Choice, rivals_of, separating_motion, usual_motions
@@ -22,7 +22,6 @@ MOTION_FILE = "motion.parquet"
 PLAYED = 8
 #: Length of a motion where no recording says how long one is [s].
 USUAL_S = 3.2
-
 Proposal = tuple[NextMotion | None, tuple[Motion, ...]]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from candata.gap.fit.acceptance import LARGEST, searched
-from candata.gap.fit.problem import Fit, Members
+from candata.gap.fit.fits import Fit, Members
 from candata.gap.search.attribution import Attribution
 from candata.gap.validation.closure import REMAINING, trust
 from candata.schema.report import Gap, Symptom, UnknownCause, Verdict

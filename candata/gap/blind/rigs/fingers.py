@@ -10,15 +10,9 @@ from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Ends, Role, Servo, drive
 from candata.gap.blind.rigs.writing import chance, tag, uniform
 
 Chain = Literal["hinge", "two_hinges", "slide", "slide_hinge", "plunger", "sweeper"]
-
-
 CHAINS: tuple[Chain, ...] = ("hinge", "two_hinges", "slide", "slide_hinge")
-
-
 #: Natural frequency [rad/s] and damping ratio of a compliant part. Chosen: visible sag and ringing, and stable.
 SPRING_RADPS, SPRING_RATIO = (22.0, 55.0), (0.08, 0.5)
-
-
 #: Axis of a hinge that swings a hanging link ahead.
 SWING = (0.0, -1.0, 0.0)
 
