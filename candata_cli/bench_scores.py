@@ -43,7 +43,8 @@ class ScoredRun:
 
 def diagnose_and_score(run: ScoredRun, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
-    from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
+    from candata.gap.blind.cases import read_cases, scene_of
+    from candata.gap.blind.labels import open_labels, read_labels
     from candata.gap.blind.opening import opened
     from candata.gap.blind.running import Place, run_cases
     from candata.gap.blind.running import known as standing_results

@@ -9,7 +9,8 @@ import numpy as np
 from candata.checks._finding import Finding, Level, Rule
 from candata.checks._view import EpisodeView
 from candata.errors import CandataError, DataError, RateError
-from candata.gap.data.recordings import Recordings, fault_of, recordings
+from candata.gap.data.faults import fault_of
+from candata.gap.data.recordings import Recordings, recordings
 from candata.gap.mismatch.check import compared
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
 from candata.gap.replay.replayer import Replayer

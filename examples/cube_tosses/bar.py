@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from candata.datasets import open_dataset
 from candata.gap.data.recordings import Recordings, recordings
-from candata.gap.measure.length_scale import length_scale
+from candata.gap.fit.length_scale import length_scale
 from candata.gap.replay.replayer import Replayer, replay_all
 from candata.gap.replay.starts import Starts, starts
 from candata.gap.run.streams import Streams

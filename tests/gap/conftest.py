@@ -11,12 +11,12 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import Diagnosis, diagnose
 from candata.gap.data.recordings import Recordings, recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, candidates
 from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.problem import Problem
 from candata.gap.measure.floor import Floor
 from candata.gap.measure.score import Score, score
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.replay.residuals import Layout
 from candata.gap.run.streams import Streams

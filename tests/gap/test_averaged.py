@@ -9,11 +9,11 @@ import pytest
 
 from candata.gap import diagnosis
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, local_candidates
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
 from candata.gap.fit.stage import Stage
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.pace import Pace
 from candata.gap.run.streams import Streams

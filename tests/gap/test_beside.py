@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate
 from candata.gap.fit.signatures import Library
+from candata.gap.preparation import _problem
 from candata.gap.replay import replayer as replays
 from candata.gap.replay.replayer import Replayer, needs_simulation, replay
 from candata.gap.run.streams import Streams

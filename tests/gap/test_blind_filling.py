@@ -15,9 +15,9 @@ from candata.errors import DataError
 from candata.gap import diagnose
 from candata.gap.blind.filling import MANY, keep_signature, planned, shared_by, shared_tasks, source
 from candata.gap.blind.running import Place
-from candata.gap.diagnosis import posed
 from candata.gap.fit import signatures
 from candata.gap.fit.candidates import candidates
+from candata.gap.preparation import posed
 from candata.gap.replay.replayer import Replayer
 from candata.gap.screening.shortlist import brief
 from candata.gap.screening.signature_screen import respond

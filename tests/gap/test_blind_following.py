@@ -10,7 +10,8 @@ import pytest
 
 from candata.errors import DataError
 from candata.gap.blind import following
-from candata.gap.blind.cases import CASES, hidden_world, make_cases, open_labels, read_cases, seal_labels
+from candata.gap.blind.cases import CASES, hidden_world, make_cases, read_cases
+from candata.gap.blind.labels import open_labels, seal_labels
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.running import Place
 from candata.gap.blind.scoring import score_run

@@ -7,8 +7,9 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.gap.blind import fresh_gaps
-from candata.gap.blind.cases import CASES, make_cases, open_labels, read_cases, seal_labels
+from candata.gap.blind.cases import CASES, make_cases, read_cases
 from candata.gap.blind.fresh_gaps import is_recordable, measure_fresh_gaps
+from candata.gap.blind.labels import open_labels, seal_labels
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.running import Place
 from candata.gap.blind.scoring import score_run

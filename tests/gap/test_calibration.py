@@ -11,11 +11,11 @@ from scipy.optimize import least_squares
 
 from candata.effects import effect_names, read_effects
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidates
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import in_world
+from candata.gap.preparation import _problem
 from candata.gap.replay.budget import Budget, BudgetSpent
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
@@ -23,8 +23,8 @@ from candata.gap.search.attribution import Attribution
 from candata.gap.search.joint_fit import joint_fit
 from candata.gap.validation.closure import held_out
 from candata.gap.verdict.calibration import NO_BUDGET, with_calibration
-from candata.gap.verdict.conclusion import Diagnosis, Findings
 from candata.gap.verdict.figures import Evidence
+from candata.gap.verdict.findings import Diagnosis, Findings
 from candata.repair import export_mjcf
 from candata.reports import summary, write_diagnosis
 from candata.scenes import Scene, load_scene

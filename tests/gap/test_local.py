@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, candidates
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening.elements import promising

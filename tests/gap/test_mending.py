@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate
 from candata.gap.force import mending
 from candata.gap.force.mending import Doubt, LoneForce
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening.refinement import joint

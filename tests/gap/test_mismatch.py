@@ -12,7 +12,7 @@ from candata.effects import effect, effect_names
 from candata.errors import DataError
 from candata.gap.data.recordings import recordings
 from candata.gap.fit.candidates import candidate
-from candata.gap.mismatch import shifts
+from candata.gap.mismatch import timing as shifts
 from candata.gap.mismatch.check import checked, mismatch
 from candata.gap.mismatch.commands import paired
 from candata.gap.replay.replayer import Replayer

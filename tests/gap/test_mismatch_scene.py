@@ -10,7 +10,7 @@ import pytest
 
 from candata.errors import DataError
 from candata.gap.data.recordings import recordings
-from candata.gap.mismatch import shifts as module
+from candata.gap.mismatch import timing as module
 from candata.gap.mismatch.check import checked, mismatch
 from candata.gap.replay.replayer import Replayer
 from candata.scenes import load_scene

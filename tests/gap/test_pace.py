@@ -9,7 +9,7 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import diagnose
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.pace import ANOTHER, ONE, REST, SIGNATURE, Forecast, Pace, Span
 from candata.gap.run.streams import Streams

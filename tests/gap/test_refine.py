@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import Candidate, candidate
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import cross_fit
 from candata.gap.fit.problem import Problem, fit_one
 from candata.gap.fit.response import Plane
 from candata.gap.measure.floor import perturbed
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening import refinement as refine

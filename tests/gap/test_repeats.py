@@ -9,7 +9,7 @@ import pytest
 
 from candata.gap.data.deviation import SlowDeviation, unshaped
 from candata.gap.data.rounding import joint_step
-from candata.gap.diagnosis import posed
+from candata.gap.preparation import posed
 from candata.gap.replay.replayer import Replayer
 from candata.schema.effect import EffectSetting
 from candata.schema.scene import Noise, Repeatability

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import Recordings, recordings
-from candata.gap.diagnosis import _problem
-from candata.gap.measure.length_scale import (
+from candata.gap.fit.length_scale import (
     SYSTEMATIC,
     Scale,
     _causes,
@@ -15,6 +14,7 @@ from candata.gap.measure.length_scale import (
     scale_from_flight,
     scale_from_rest,
 )
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.replay.starts import starts
 from candata.gap.run.streams import Streams

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, candidates
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
 from candata.gap.fit.response import Plane
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening import look as staging

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit import signatures
 from candata.gap.fit.signatures import library
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer, replay_all
 from candata.gap.replay.residuals import residual
 from candata.gap.run import cache as kept

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit import problem as search
 from candata.gap.fit.candidates import candidate, first_probes
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer, name_of
 from candata.gap.run.streams import Streams
 from candata.gap.screening import shortlist

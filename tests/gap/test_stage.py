@@ -9,12 +9,12 @@ import pytest
 
 from candata.effects import flatten
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate
 from candata.gap.fit.comparison import tied_with
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
 from candata.gap.fit.response import Curve, Plane
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening import look as staging

@@ -15,7 +15,8 @@ from candata.gap.fit.signatures import library
 from candata.gap.fit.world_floor import in_world
 from candata.gap.run.streams import Streams
 from candata.gap.screening.look import look
-from candata.gap.validation.closure import intervals, shares
+from candata.gap.validation.closure import shares
+from candata.gap.validation.intervals import intervals
 from candata.gap.validation.null_test import null_gains
 from tests.gap.conftest import members, step_problem
 

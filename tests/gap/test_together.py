@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening.look import as_simulated, look

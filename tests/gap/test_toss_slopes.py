@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from candata.gap.data.recordings import recordings
-from candata.gap.diagnosis import _problem
 from candata.gap.fit.candidates import candidate, typical_size
+from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
-from candata.gap.screening.refinement import WIDTHS, divided, joint, slopes_of
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.slopes import WIDTHS, divided, slopes_of
 
 FRICTION = 0.6
 

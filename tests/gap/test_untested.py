@@ -9,7 +9,7 @@ from candata.errors import UnknownNameError, UsageError
 from candata.gap.data.recordings import recordings
 from candata.gap.data.testability import library, untested, untested_notes
 from candata.gap.mismatch.check import checked
-from candata.gap.mismatch.object_absence import NOTE, widened
+from candata.gap.mismatch.poses import NOTE, widened
 from candata.gap.replay.replayer import Replayer
 from candata.schema.episode import Episode
 

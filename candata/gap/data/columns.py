@@ -84,3 +84,7 @@ def held_commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.
     if episode.meta.action == "previous":
         values = np.concatenate([values[1:], values[-1:]])
     return values
+
+
+#: Channels that are compared, besides those of joints that are where every episode holds them.
+COMPARED = ("joint_position", "object_pose", "fingertip_force")

@@ -7,26 +7,26 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from candata.gap.data.recordings import Recordings, block_rows
 from candata.gap.data.repetition import repeated
 from candata.gap.data.rounding import Readings, before_rounding, dithered, force_step, joint_step
-from candata.gap.data.sample_hold import only_new
 from candata.gap.data.velocity import joint_velocity
-from candata.rotation import difference
+from candata.gap.data.white_noise import (
+    DEGREE,
+    QUANTITIES,
+    WINDOW,
+    _turning,
+    columns_of,
+    variances,
+    white_estimates,
+    white_variance,
+    windows_of,
+)
 from candata.schema.scene import Noise
 
 Array = NDArray[np.float64]
 NoiseKind = Literal["measured", "declared", "assumed"]
-#: What is read, with its unit; noise is an array of these, one standard deviation each.
-QUANTITIES = (
-    ("object position", "m"),
-    ("object rotation", "rad"),
-    ("joint position", "rad"),
-    ("sliding joint position", "m"),
-    ("fingertip force", "N"),
-)
 #: Smallest noise that is believed where none is declared: resolution of good encoders [rad], motion capture [m, rad]
 #: and tactile sensors [N]; and that of encoders on rails [m].
 SMALLEST = Noise(object_pose=(2e-4, 1e-3), joint_position=3e-4, fingertip_force=0.01)
@@ -34,13 +34,6 @@ SMALLEST_SLIDE_M = 5e-5
 #: Times the declared noise that must be seen for it not to be believed. (In 232 blind cases of two hands, whose noise
 #: is as declared, 1.14 at most was seen.)
 MORE = 1.3
-#: Rows of a window, and the degree of the polynomial that is taken for motion in it. Chosen: of a 1 Hz sine of 0.5 rad
-#: at 100 Hz, a parabola leaves 0.2 mrad.
-WINDOW, DEGREE = 8, 2
-#: Quantile over windows, and over a quantity's columns, at which noise is read: noise is in all of them, what shakes a
-#: slipping fingertip is not. (Of a gripper whose fingers slip all the time, the mean of the calmest windows was five
-#: times the noise of the forces, this 1.4 times.)
-QUIET, LOW = 0.1, 0.25
 #: Pairs of repeated episodes from which noise is measured. Chosen: one could be an accident.
 PAIRS = 2
 #: How near declared noise what is measured must come to confirm it. (In 40 recordings of 20 episodes whose noise is as
@@ -48,13 +41,9 @@ PAIRS = 2
 AS_DECLARED = 0.15
 #: Significant digits of noise that is estimated: it is known no better, and two would be off by up to a twentieth.
 DIGITS = 3
-#: Share of pure noise's windows by which an estimate is refined, and how often. Chosen on white noise of 12 episodes
-#: and three columns, half of which also move half of the time: 1.002 +- 0.023 of the truth (1.007 +- 0.040 unrefined).
-CALMER, ROUNDS = 0.9, 6
 #: Standard error of an estimated noise over that of all windows' mean (there: 0.021 over 0.013), and by how many per
 #: cent a mean loss rises where noise is one per cent larger (the Student-t loss of normal block means).
 INEFFICIENCY, LOSS_PER_NOISE = 1.6, 1.7
-_BASIS = np.linalg.qr(np.vander(np.arange(WINDOW) - (WINDOW - 1) / 2, DEGREE + 1, increasing=True))[0]
 
 
 class SensorNoise(NamedTuple):
@@ -119,7 +108,7 @@ def _rate_noise(declared: Noise, recs: Recordings, replayed: Readings) -> dict[s
     if "joint_effort" in recs.readings:
         effort = recs.readings["joint_effort"]
         apart = [_blocks(part, rows) for part in (effort, effort - replayed["joint_effort"])]
-        white = [[_white(_cut(part[..., j : j + 1])) for part in apart] for j in range(effort.shape[2])]
+        white = [[white_variance(windows_of(part[..., j : j + 1])) for part in apart] for j in range(effort.shape[2])]
         sizes["joint_effort"] = np.sqrt(rows * np.min(white, axis=1))
     least = {"joint_velocity": declared.joint_velocity, "joint_effort": declared.joint_effort}
     return {
@@ -146,12 +135,12 @@ def _of_quantities(
     even = replace(recs, readings=dithered(recs.readings, step, joint_steps))
     pairs = repeated(recs)
     kind: NoiseKind = "measured" if len(pairs) >= PAIRS else "assumed"
-    calm, calm_count = _estimates(even, None, slides)
+    calm, calm_count = white_estimates(even, None, slides)
     variance, count = np.minimum(calm, variances(even, replayed, slides)), calm_count
     how = "seen in quiet stretches"
     if kind == "measured":
         first, second = (even.take(side) for side in np.array(pairs).T)
-        variance, count = _agreed(*_estimates(first, second.readings, slides), variance, count)
+        variance, count = _agreed(*white_estimates(first, second.readings, slides), variance, count)
         how = "measured in repeated motions"
     steps = np.array([0.0, 0.0, *(_median(joint_steps[slides == kind]) for kind in (False, True)), step])
     seen = np.array([before_rounding(max(float(v) - s**2 / 12, 0.0), s) for v, s in zip(variance, steps, strict=True)])
@@ -177,7 +166,7 @@ def _of_quantities(
             notes,
             _loss_error(recs, slides, np.where(more, count, np.inf)),
         )
-    recorded = np.array([_columns(q, recs, slides) is not None for q, _ in QUANTITIES])
+    recorded = np.array([columns_of(q, recs, slides) is not None for q, _ in QUANTITIES])
     confirmed = (kind == "measured") & (told > 0) & ((np.abs(seen - told) <= AS_DECLARED * told) | ~recorded)
     same_steps = (step == declared.force_step or not recorded[-1]) and not joint_steps.any() if declared else False
     if declared is not None and confirmed.all() and same_steps:
@@ -218,7 +207,7 @@ def _agreed(apart: Array, pairs: Array, variance: Array, count: Array) -> tuple[
 
 def _loss_error(recs: Recordings, slides: NDArray[np.bool_], count: Array) -> float:
     """Return the relative standard error of a mean loss where noise is known from windows `(5,)` of each quantity."""
-    columns = [_columns(q, recs, slides) for q, _ in QUANTITIES]
+    columns = [columns_of(q, recs, slides) for q, _ in QUANTITIES]
     forces = recs.readings["fingertip_force"].shape[2] if "fingertip_force" in recs.readings else 0
     turning, sliding = (len(c) if isinstance(c, np.ndarray) else 0 for c in columns[2:4])
     pose = 3 if columns[0] is not None else 0
@@ -226,93 +215,6 @@ def _loss_error(recs: Recordings, slides: NDArray[np.bool_], count: Array) -> fl
     error = INEFFICIENCY / np.sqrt(2 * (WINDOW - DEGREE - 1) * np.maximum(count, 1))
     share = width / max(width.sum(), 1)
     return float(LOSS_PER_NOISE * np.sqrt(((share * error) ** 2).sum()))
-
-
-def variances(recs: Recordings, other: Readings | None = None, slides: NDArray[np.bool_] | None = None) -> Array:
-    """Return `(5,)` variances of white noise in readings, or in what they differ by from others; 0 where none are.
-
-    What a parabola leaves of short windows is noise, read off those where it leaves least.
-    """
-    return _estimates(recs, other, _turning(recs) if slides is None else slides)[0]
-
-
-def _estimates(recs: Recordings, other: Readings | None, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return variances `(5,)` as `variances` does, and from how many windows of columns each is read."""
-    windows = [_windows(q, recs, other, slides) for q, _ in QUANTITIES]
-    count = [0 if w is None else int(np.isfinite(w).all(2).sum()) for w in windows]
-    return np.array([0.0 if w is None else _white(w) for w in windows]), np.array(count, float)
-
-
-def _turning(recs: Recordings) -> NDArray[np.bool_]:
-    """Return `(J,)` that no recorded joint slides."""
-    joints = recs.readings.get("joint_position")
-    return np.zeros(0 if joints is None else joints.shape[2], bool)
-
-
-def _columns(quantity: str, recs: Recordings, slides: NDArray[np.bool_]) -> slice | NDArray[np.int64] | None:
-    """Return the columns of a quantity in its channel; None where it was not recorded."""
-    channel = _channel(quantity)
-    if channel not in recs.readings:
-        return None
-    if channel != "joint_position":
-        return slice(None)
-    columns = np.flatnonzero(slides == quantity.startswith("sliding"))
-    return columns if len(columns) else None
-
-
-def _windows(quantity: str, recs: Recordings, other: Readings | None, slides: NDArray[np.bool_]) -> Array | None:
-    """Return windows `(E, N, WINDOW, D)` of a quantity, or of its difference; None where it was not recorded."""
-    channel, columns = _channel(quantity), _columns(quantity, recs, slides)
-    if columns is None:
-        return None
-    slow = recs.sources.get(channel)
-    values = _cut(only_new(recs.readings[channel], slow))
-    others = np.repeat(values[:, :, :1], WINDOW, axis=2) if other is None else _cut(only_new(other[channel], slow))
-    if quantity == "object rotation":
-        return difference(values[..., 3:], others[..., 3:])
-    apart = (values - others)[..., columns]
-    return apart[..., :3] if channel == "object_pose" else apart
-
-
-def _channel(quantity: str) -> str:
-    """Return the channel that a quantity is read from."""
-    return "object_pose" if quantity.startswith("object") else quantity.removeprefix("sliding ").replace(" ", "_")
-
-
-def _cut(values: Array) -> Array:
-    """Return `(E, T, ...)` values as windows `(E, N, WINDOW, D)`; a first row holds no force yet."""
-    count = (values.shape[1] - 1) // WINDOW
-    return values[:, 1 : 1 + count * WINDOW].reshape(len(values), count, WINDOW, -1)
-
-
-def _white(windows: Array) -> float:
-    """Return the variance of white noise in windows `(E, N, WINDOW, D)`; 0 without any that is whole.
-
-    Of n numbers, what a polynomial of k terms leaves is chi-squared with n - k degrees of freedom.
-    """
-    free = WINDOW - DEGREE - 1
-    left = (windows**2).sum(2) - (np.einsum("tk,entd->ekdn", _BASIS, windows) ** 2).sum(1).swapaxes(1, 2)
-    left = np.maximum(left, 0.0)  # of what lies on a parabola exactly, rounding leaves less than nothing
-    columns = left.reshape(-1, windows.shape[-1]).T
-    quiet = [np.quantile(c[np.isfinite(c)], QUIET) for c in columns if np.isfinite(c).any()]
-    if not quiet:
-        return 0.0
-    first = max(float(np.quantile(quiet, LOW)), 0.0) / float(chi2.ppf(QUIET, free))
-    return _refined(left[np.isfinite(left)], first, free)
-
-
-def _refined(remainders: Array, variance: float, free: int) -> float:
-    """Return the variance of white noise from the calmer windows of all columns, near a first estimate.
-
-    The mean of chi-squared with n degrees of freedom below a cut c is n F_{n+2}(c) / F_n(c), by its density.
-    """
-    cut = float(chi2.ppf(CALMER, free))
-    typical = free * float(chi2.cdf(cut, free + 2)) / CALMER
-    for _ in range(ROUNDS):
-        calm = remainders[remainders < cut * variance]
-        if len(calm):
-            variance = float(calm.mean()) / typical
-    return variance
 
 
 def _with_rounding(sizes: Array, steps: Array) -> Array:

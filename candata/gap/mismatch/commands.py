@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,12 +28,6 @@ MAPPED = {"degrees": "deg", "thousandths (mm, mrad)": "mrad, or mm of slides", "
 UNIT_WITHIN = 1.7
 #: Times its command by which a joint moves in no scene, whatever its servo, unless the scene says so. Chosen.
 MULTIPLE = 3.0
-#: Rows below which stillness says nothing: motions begin at rest.
-TOLD_ROWS = 16
-#: A joint that moves by less than this share of what the scene's own moves is dead.
-DEAD = 0.05
-#: Constant [rad] between command and joint beyond which it is another zero: the bound of `joint_offset`.
-ZERO_RAD = 0.3
 
 
 @dataclass(frozen=True)
@@ -90,7 +83,7 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
 def unit_findings(scene: Scene, p: Paired) -> list[RecordingMismatch]:
     """Return joints that follow their command at the factor of another unit."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
-    follows = (r2 > FOLLOWS) & _moves(p)
+    follows = (r2 > FOLLOWS) & moving(p)
     commanded, out = within(p.target) > 1e-3, []
     factors = np.array([1 / f for f in UNITS.values()] + list(UNITS.values()))
     ratio = np.abs(np.log(np.maximum(np.abs(slope), 1e-9)[:, None] / factors))
@@ -112,7 +105,7 @@ def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     nominal : (E, T, S) float64
         Joints of the servos in a nominal replay.
     """
-    follows = (np.abs(p.own(p.found.r2())) > FOLLOWS) & _moves(p)
+    follows = (np.abs(p.own(p.found.r2())) > FOLLOWS) & moving(p)
     slope, scene = p.own(p.found.slope()), p.moved_as(nominal)
     scene_slope = scene.own(scene.found.slope())
     most = np.maximum(np.abs(slope), np.abs(scene_slope))
@@ -122,7 +115,7 @@ def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     return [finding(p, some, slope) for finding, some in ((_factor, large), (_reversed, against)) if some.any()]
 
 
-def _moves(p: Paired) -> NDArray[np.bool_]:
+def moving(p: Paired) -> NDArray[np.bool_]:
     """Return `(S,)` whether a joint moves within episodes by clearly more than its noise."""
     return within(p.joint) > 5 * p.quiet + 1e-6
 
@@ -137,13 +130,13 @@ def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> b
 
 def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> RecordingMismatch:
     """Return the finding that a channel is in another unit."""
-    names = _named(p, some)
+    names = joint_and_command(p, some)
     return RecordingMismatch(
         "command_unit" if channel == "action" else "joint_unit",
         True,
         f"{channel} looks like {unit}",
         "rad, or m for slides: a joint moves by about 1 when its command does",
-        f"it moves by {np.median(slope[some]):.3g} ({_listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
+        f"it moves by {np.median(slope[some]):.3g} ({listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
         "as large",
         f"give the unit of these columns in map.yaml: {MAPPED[unit]}",
         channel,
@@ -153,13 +146,13 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
 
 def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints move by a multiple of their commands."""
-    names = _named(p, some)
+    names = joint_and_command(p, some)
     return RecordingMismatch(
         "command_unit",
         True,
         "commands are not in the joints' unit",
         "about 1 rad of motion for 1 rad of command",
-        f"{np.median(slope[some]):.3g} ({_listed(names)})",
+        f"{np.median(slope[some]):.3g} ({listed(names)})",
         "scale the commands to joint targets in rad (m for slides)",
         "action",
         names,
@@ -168,170 +161,24 @@ def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismat
 
 def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints run against their commands."""
-    names = _named(p, some)
+    names = joint_and_command(p, some)
     return RecordingMismatch(
         "reversed_commands",
         True,
         "joints run against their commands",
         "one sign for command and joint",
-        f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({_listed(names)})",
+        f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({listed(names)})",
         "turn the sign of the command or of the joint",
         "action",
         names,
     )
 
 
-def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[RecordingMismatch]:
-    """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
-    slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
-    flat = (p.joint - nominal).reshape(-1, len(p.names))
-    off = flat[np.isfinite(flat).all(1)]
-    if not len(off):
-        return []
-    shift, nearest = off.mean(0), np.quantile(np.abs(off), 0.1, axis=0)
-    hinge = scene.model.jnt_type[scene.joint_ids[p.drive.joints]] == mujoco.mjtJoint.mjJNT_HINGE
-    far = hinge & (nearest > ZERO_RAD)
-    moves = far & (r2 > 0.5) & (slope > 0.5) & (slope < 1.5)
-    out = []
-    for some, definite in ((moves, True), (far & ~moves, False)):
-        names = _named(p, some)
-        if names:
-            out.append(
-                RecordingMismatch(
-                    "zero",
-                    definite,
-                    "joints stay far from their commands",
-                    f"at most {ZERO_RAD:g} rad from where the scene's joints go",
-                    ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
-                    "give command and joint one zero and one sign",
-                    "joint_position",
-                    names,
-                )
-            )
-    return out
-
-
-def still_findings(recs: Recordings, p: Paired) -> list[RecordingMismatch]:
-    """Return that nothing moves, where neither commands nor joints nor the object do."""
-    commanded = within(p.target) > 1e-3
-    moved = "object_pose" in recs.readings and bool(
-        (np.nanstd(recs.readings["object_pose"][..., :3], axis=1) > 0.005).any()
-    )
-    if commanded.any() or _moves(p).any() or moved or recs.lengths.max() < TOLD_ROWS:
-        return []
-    return [
-        RecordingMismatch(
-            "still",
-            False,
-            "nothing moves in these recordings",
-            "commands that move the joints",
-            "constant commands, still joints",
-            "record motions, several of each",
-            "action",
-        )
-    ]
-
-
-def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
-    """Return joints that do not follow their commands, in the recording or in the scene.
-
-    Parameters
-    ----------
-    nominal : (E, T, S) float64
-        What the scene's own joints do under the recorded commands, open loop.
-    """
-    seen = np.isfinite(p.joint)
-    asked, own = (within(np.where(seen, v, np.nan)) for v in (p.target, nominal))
-    real = within(p.joint)
-    commanded = asked > np.maximum(0.01, 10 * p.quiet)
-    dead = commanded & (own > 0.3 * asked) & (real < np.maximum(DEAD * own, 1.5 * p.quiet))
-    stuck = commanded & (own < 0.1 * asked) & (real > 0.5 * asked)
-    both = commanded & (own < 0.1 * asked) & (real < 0.1 * asked)
-    out = []
-    if both.any():
-        names = _named(p, both)
-        out.append(
-            RecordingMismatch(
-                "scene_still",
-                False,
-                "neither the recorded joints nor the scene's follow their commands",
-                "joints that move when commanded",
-                f"still: {_listed(names)}",
-                "look at ranges, gains and links that collide; these joints tell nothing",
-                "joint_position",
-                names,
-            )
-        )
-    if stuck.any():
-        names = _named(p, stuck)
-        out.append(
-            RecordingMismatch(
-                "scene_stuck",
-                True,
-                "joints of the scene do not follow their commands",
-                "the scene's joints move as the recorded ones do",
-                f"still: {_listed(names)}",
-                "look at the model: limits, gains, links that collide, equalities",
-                "joint_position",
-                names,
-            )
-        )
-    if dead.any():
-        names = _named(p, dead)
-        most = bool(2 * dead.sum() > commanded.sum())
-        out.append(
-            RecordingMismatch(
-                "dead_joint",
-                most,
-                "recorded joints do not follow their commands",
-                "joints that move when commanded",
-                f"still: {_listed(names)}",
-                "look at motor, wire and encoder"
-                if most
-                else "held where they were read and left out, not identifiable",
-                "joint_position",
-                names,
-            )
-        )
-    return out
-
-
-def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[RecordingMismatch]:
-    """Return that MuJoCo cannot step the nominal scene through the recordings: it simulates nothing then.
-
-    Parameters
-    ----------
-    scene : Scene
-    recs : Recordings
-        E episodes that were played.
-    failed : (E,) int64
-        Row before which it gave each of them up; all rows where it did not.
-    many : float
-        Share of such episodes from which nothing is diagnosed.
-    """
-    bad = np.flatnonzero(failed < recs.lengths)
-    if not len(bad):
-        return []
-    when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
-    return [
-        RecordingMismatch(
-            "scene_unstable",
-            len(bad) >= many * len(recs),
-            "the nominal simulation is unstable under the recorded commands",
-            f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
-            f"none in {len(bad)} of {len(recs)} episodes that were looked at, first in {when}",
-            "give the model a smaller time step, more damping or armature, until it plays these commands; look whether "
-            "they are in its order and unit",
-            "commands",
-        )
-    ]
-
-
 def late(p: Paired, nominal: Array) -> Array:
     """Return `(S,)` rows by which each recorded joint comes after the scene's own; NaN where it does not follow."""
     reach = min(max(4, p.found.lags[-1]), p.joint.shape[1] // 4)
     rows = own_lag(p.joint, nominal, int(reach))
-    return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & _moves(p), rows, np.nan)
+    return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & moving(p), rows, np.nan)
 
 
 def within(values: Array) -> Array:
@@ -341,12 +188,12 @@ def within(values: Array) -> Array:
     return np.sqrt(np.nansum(own**2, axis=(0, 1)) / np.maximum(count, 1))
 
 
-def _named(p: Paired, some: NDArray[np.bool_]) -> tuple[str, ...]:
+def joint_and_command(p: Paired, some: NDArray[np.bool_]) -> tuple[str, ...]:
     """Return the names of some joints."""
     return tuple(n for n, s in zip(p.names, some, strict=True) if s)
 
 
-def _listed(names: Sequence[str], most: int = 6) -> str:
+def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names as text, the first few."""
     rest = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + rest

@@ -23,7 +23,7 @@ from candata.gap.mismatch.alternatives import (
     pose_alternatives,
 )
 from candata.gap.mismatch.commands import Paired
-from candata.gap.mismatch.forces import tells_unit
+from candata.gap.mismatch.force_units import tells_unit
 from candata.gap.mismatch.recording_mismatch import Comparison, RecordingMismatch
 from candata.gap.mismatch.swaps import CLOSER
 from candata.rotation import difference
@@ -40,17 +40,11 @@ WORSE = 1.25
 BETTER_IN = 3
 #: Episodes that each alternative is tried on first.
 TRIED_ON = 4
-#: Ratio of the errors from which a shift by whole rows is told: it costs no simulation and accuses nobody.
-SHIFTED = 0.8
-#: Largest shift that is tried [s] and, of readings that come early, [rows]; least distance from the joints' own [rows].
-LATEST_S, EARLIEST, APART_ROWS = 0.16, 3, 0.75
 #: Misfit from which joints are asked whether two of them were exchanged with their commands: of forces as a share of
 #: their size, of the object's place [m]. Chosen: that asks for a simulation of each pair.
 FORCE_OFF, PLACE_OFF_M = 0.5, 0.005
 #: Pairs of joints up to which they are asked whatever the misfit. Chosen: all pairs of a gripper, a second or two.
 FEW_PAIRS = 20
-#: Added to errors before their logarithm.
-SMALLEST = 1e-12
 #: Units of what is compared.
 UNITS = {"position": "m", "rotation": "rad", "force": "N", "joint": "rad or m"}
 
@@ -203,81 +197,6 @@ def is_off(recs: Recordings, nominal: dict[str, Array]) -> bool:
     if "force" in off and np.nanmedian(off["force"]) > FORCE_OFF * np.nanmedian(_rms(recs.readings["fingertip_force"])):
         return True
     return "position" in off and bool(np.nanmedian(off["position"]) > PLACE_OFF_M)
-
-
-def late_findings(
-    scene: Scene, recs: Recordings, nominal: dict[str, Array], joint_rows: float
-) -> tuple[Comparison, Recordings]:
-    """Return notes that poses or forces come some rows late or early beside the scene's, and the recordings in time.
-
-    Undecidable is a lateness that fits best but not in all episodes, or of which no episode says anything.
-
-    Parameters
-    ----------
-    joint_rows : float
-        Rows by which the joints come after the scene's: what they do to the object comes with them.
-    """
-    notes: list[RecordingMismatch] = []
-    undecidable: list[str] = []
-    rate = scene.file.rate_hz
-    for channel, name in (("object_pose", "poses"), ("fingertip_force", "forces")):
-        if channel not in recs.readings:
-            continue
-        by_rows = _errors_by_shift(channel, recs, nominal, max(2, round(LATEST_S * rate)))
-        best = min(by_rows, key=lambda rows: _log_error(by_rows[rows]))
-        vote, is_apart = votes(by_rows[0], by_rows[best], SHIFTED), abs(best - joint_rows) >= APART_ROWS
-        if vote.won and is_apart:
-            notes.append(_lateness(channel, name, best, rate, vote))
-            recs = replace(recs, readings=recs.readings | {channel: _in_time(recs.readings[channel], best)})
-        elif (best and is_apart and not vote.ruled_out) or not any(
-            v.better or v.worse for v in (votes(by_rows[0], e, SHIFTED) for e in by_rows.values())
-        ):
-            undecidable.append(f"{name} that come late")
-    return Comparison(tuple(notes), tuple(undecidable)), recs
-
-
-def _log_error(error: dict[str, Array]) -> float:
-    """Return the sum of the logarithms of all errors."""
-    return float(np.nansum(np.log(np.stack(list(error.values())) + SMALLEST)))
-
-
-def _in_time(values: Array, rows: int) -> Array:
-    """Return readings `(E, T, ...)` that came some rows late at the rows they belong to; NaN where they lack."""
-    out = np.full_like(values, np.nan)
-    if rows > 0:
-        out[:, :-rows] = values[:, rows:]
-    else:
-        out[:, -rows:] = values[:, :rows]
-    return out
-
-
-def _errors_by_shift(
-    channel: str, recs: Recordings, nominal: dict[str, Array], latest: int
-) -> dict[int, dict[str, Array]]:
-    """Return the errors of a channel against the scene's by the rows that it is taken to come late.
-
-    All are of the same recorded rows.
-    """
-    real, simulated = recs.readings[channel], nominal[channel]
-    latest = min(latest, real.shape[1] // 4)
-    rows = np.arange(latest, real.shape[1] - EARLIEST)
-    part = replace(recs, readings={channel: real[:, rows]})
-    return {late: errors(part, {channel: simulated[:, rows - late]}) for late in range(-EARLIEST, latest + 1)}
-
-
-def _lateness(channel: str, name: str, rows: int, rate: float, vote: Votes) -> RecordingMismatch:
-    """Return the note that a channel comes some rows late, or early."""
-    when, ms = "later" if rows > 0 else "earlier", f"{1e3 * abs(rows) / rate:.0f} ms"
-    count = f"{abs(rows)} row{'s' * (abs(rows) != 1)}"
-    return RecordingMismatch(
-        f"late_{name}",
-        False,
-        f"{name} come {when} than the scene's",
-        "readings at the time of their row",
-        f"as if they came {count} ({ms}) {'late' if rows > 0 else 'early'}: {vote.text}",
-        "a sensor that takes its time, or rows counted wrong: look at the stamps of this stream",
-        channel,
-    )
 
 
 def place_findings(

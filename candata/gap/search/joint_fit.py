@@ -10,24 +10,34 @@ which quantities stay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 from scipy.stats import qmc
 
-from candata.gap.data.robust_loss import rho, weights
+from candata.gap.data.robust_loss import weights
 from candata.gap.fit.candidates import Candidate
 from candata.gap.fit.comparison import standard_error
 from candata.gap.fit.fits import Fit, Members, present
-from candata.gap.fit.folds import FOLDS, CrossFit, rest
+from candata.gap.fit.folds import CrossFit, rest
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
 from candata.gap.measure.score import Compact
 from candata.gap.screening.shortlist import few, taken
-from candata.gap.search.quantities import Allowance, AllowanceSpent, Quantities, mean_size, robust_spread
+from candata.gap.search.quantities import (
+    SHARES,
+    STEPS,
+    Allowance,
+    AllowanceSpent,
+    Place,
+    Quantities,
+    descended,
+    mean_size,
+    refitted,
+    robust_spread,
+    settled,
+)
 
 Array = NDArray[np.float64]
 #: Most numbers that are fitted at once, and replays that each needs: one for every slope, in some ten steps. Chosen.
@@ -41,11 +51,6 @@ PLACES, REACH, BEGUN = 48, 1.5, 3
 #: Shares of a plausible size over which slopes are differenced, rough and sharp. Chosen: the wider, the less is seen of
 #: single contacts and of friction that holds or lets go.
 ROUGH, SHARP = 0.1, 0.01
-#: Most Gauss-Newton steps of a fit, shares of a step that are simulated, and share of the loss that a step must take
-#: off for another to follow. Chosen.
-STEPS, SHARES, HELPS = 12, (1.0, 0.5, 0.2, 0.05), 0.01
-#: Room, in plausible sizes, that a number at its bound has beyond it: a bounded fit needs some. Chosen.
-EDGE = 1e-6
 #: Standard errors over held-out episodes by which a quantity must gain to stay. Source: the one-standard-error rule of
 #: Breiman, Friedman, Olshen & Stone, "Classification and Regression Trees" (1984), section 3.4.3.
 SURE = 1.0
@@ -73,26 +78,12 @@ class JointFit:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Coordinates `at (d,)`, residuals `z (E, K)` and their `slope (d, E, K)` there.
-
-    `scale` is the spread of the residuals, and `prior` how much of them a plausible size off a neutral value costs.
-    """
-
-    at: Array
-    z: Compact
-    slope: Compact
-    scale: float
-    prior: float
-
-
-@dataclass(frozen=True)
 class _Fold:
     """Episodes that are held out, the others, and the place that these are fitted best."""
 
     test: NDArray[np.int64]
     train: NDArray[np.int64]
-    place: _Place
+    place: Place
 
 
 def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, replays: float) -> JointFit | None:
@@ -120,7 +111,7 @@ def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, repl
     try:
         at, z = min(_first_fits(brief, named), key=lambda pair: mean_size(pair[1]))
         allowance.reserved = LAST * replays
-        at, _ = _descended(brief, at, z, SHARP, STEPS)
+        at, _ = descended(brief, at, z, SHARP, STEPS)
         allowance.reserved = 0.0
         return _thinned(everything, at, everything.residuals([at])[0])
     except AllowanceSpent:
@@ -145,7 +136,7 @@ def _first_fits(brief: Quantities, named: Members) -> list[tuple[Array, Compact]
     for i, (u, z) in enumerate(begins):
         later = len(begins) - i - 1
         allowance.reserved = reserved + (allowance.replays - reserved) * later / (later + 1)
-        ends.append(_descended(brief, u, z, ROUGH, STEPS))
+        ends.append(descended(brief, u, z, ROUGH, STEPS))
     return ends
 
 
@@ -163,47 +154,15 @@ def _begins(brief: Quantities, named: Members, count: int) -> list[tuple[Array, 
     return [(places[i], zs[i]) for i in dict.fromkeys([*order, 0])]
 
 
-def _descended(quantities: Quantities, at: Array, z: Compact, width: float, steps: int) -> tuple[Array, Compact]:
-    """Return coordinates and residuals `(E, K)` after Gauss-Newton steps within bounds, while they help.
-
-    Of each step some shares are simulated together, and the best is taken. It ends where no share helps, or replays do.
-    """
-    neutral = quantities.neutral / quantities.size
-    with suppress(AllowanceSpent):
-        for _ in range(steps):
-            place = _Place(at, z, quantities.slopes(at, z, width), robust_spread(z), quantities.prior(z))
-            way = _refitted(quantities, place, np.arange(len(z))) - at
-            tried = [(at + share * way) for share in SHARES]
-            places = [(at, z), *zip(tried, quantities.residuals(tried), strict=True)]
-
-            def cost(pair: tuple[Array, Compact], place: _Place = place) -> float:
-                off = place.prior / place.scale * (pair[0] - neutral)
-                return float(rho(pair[1] / np.float32(place.scale)).sum(dtype=np.float64) + 0.5 * (off**2).sum())
-
-            before = cost(places[0])
-            at, z = min(places, key=cost)
-            if cost((at, z)) > (1 - HELPS) * before:
-                break
-    return at, z
-
-
-def _settled(quantities: Quantities, at: Array, z: Compact, width: float) -> tuple[Array, Compact]:
-    """Return coordinates and residuals fitted on; what is needed to judge a fit stays of the allowance."""
-    quantities.allowance.reserved = 2.0 * (len(at) + len(quantities.kinds) + len(SHARES) * FOLDS + 2)
-    at, z = _descended(quantities, at, z, width, STEPS)
-    quantities.allowance.reserved = 0.0
-    return at, z
-
-
 def _thinned(quantities: Quantities, at: Array, z: Compact) -> JointFit | None:
     """Return the fit without the quantities that do not gain on held-out episodes, the others fitted again.
 
     Where the replays end first, the last fit that was judged is returned, idle quantities and all.
     """
-    judged: tuple[Quantities, _Place, list[_Fold]] | None = None
+    judged: tuple[Quantities, Place, list[_Fold]] | None = None
     try:
         while True:
-            place = _Place(at, z, quantities.slopes(at, z, SHARP), robust_spread(z), quantities.prior(z))
+            place = Place(at, z, quantities.slopes(at, z, SHARP), robust_spread(z), quantities.prior(z))
             folds = _folds(quantities, place)
             judged = quantities, place, folds
             idle = _idle(quantities, place, folds)
@@ -211,18 +170,18 @@ def _thinned(quantities: Quantities, at: Array, z: Compact) -> JointFit | None:
                 return _concluded(quantities, _last_step(quantities, place), folds)
             if idle.all():
                 return None
-            at = _refitted(quantities, place, np.arange(len(z)), idle)[~idle]
+            at = refitted(quantities, place, np.arange(len(z)), idle)[~idle]
             quantities = replace(
                 quantities, kinds=tuple(c for c in quantities.kinds if c.label in set(quantities.owners[~idle]))
             )
             (z,) = quantities.residuals([at])
-            at, z = _settled(quantities, at, z, SHARP)
+            at, z = settled(quantities, at, z, SHARP)
     except AllowanceSpent:
         fitted = _concluded(*judged) if judged else None
         return fitted if fitted and fitted.fit.gain > 0 else None
 
 
-def _folds(quantities: Quantities, place: _Place) -> list[_Fold]:
+def _folds(quantities: Quantities, place: Place) -> list[_Fold]:
     """Return the fit without each fold: the share of the way that slopes promise which is best for its other episodes.
 
     Slopes lead astray where a joint sticks or a contact comes and goes, so that simulations decide how far they are
@@ -230,7 +189,7 @@ def _folds(quantities: Quantities, place: _Place) -> list[_Fold]:
     """
     parts = quantities.problem.parts
     trains = [rest(parts, f) for f in range(len(parts))]
-    ends = [_refitted(quantities, place, train) for train in trains]
+    ends = [refitted(quantities, place, train) for train in trains]
     steps = [place.at + share * (end - place.at) for end in ends for share in SHARES]
     zs = iter(quantities.residuals(steps))
     found = []
@@ -241,16 +200,16 @@ def _folds(quantities: Quantities, place: _Place) -> list[_Fold]:
     return found
 
 
-def _last_step(quantities: Quantities, place: _Place) -> _Place:
+def _last_step(quantities: Quantities, place: Place) -> Place:
     """Return the place where slopes lead once more; the same one where that is no better."""
     if quantities.allowance.replays < 1:
         return place
-    moved = _refitted(quantities, place, np.arange(len(place.z)))
+    moved = refitted(quantities, place, np.arange(len(place.z)))
     (z,) = quantities.residuals([moved])
     return replace(place, at=moved, z=z) if mean_size(z) < mean_size(place.z) else place
 
 
-def _idle(quantities: Quantities, place: _Place, folds: Sequence[_Fold]) -> NDArray[np.bool_]:
+def _idle(quantities: Quantities, place: Place, folds: Sequence[_Fold]) -> NDArray[np.bool_]:
     """Return `(d,)` the numbers of quantities without which, the others following, held-out episodes lose nothing sure.
 
     Those that move least are tried first; each stands at its neutral value from then on.
@@ -285,35 +244,13 @@ def _without(quantities: Quantities, folds: Sequence[_Fold], fixed: NDArray[np.b
     quantities.allowance.spend(1.0)
     z = np.zeros_like(folds[0].place.z)
     for fold in folds:
-        u = _refitted(quantities, fold.place, fold.train, fixed)
+        u = refitted(quantities, fold.place, fold.train, fixed)
         part = taken(quantities.problem, fold.test)
         (z[fold.test],) = part.residuals([part.setting(present(quantities.members(u)))])
     return z
 
 
-def _refitted(
-    quantities: Quantities, place: _Place, train: NDArray[np.int64], fixed: NDArray[np.bool_] | None = None
-) -> Array:
-    """Return the coordinates `(d,)` that fit some episodes best by the slopes of a place, within bounds.
-
-    Coordinates that are `fixed` stand at their neutral values.
-    """
-    neutral = quantities.neutral / quantities.size
-    free = np.ones(len(place.at), bool) if fixed is None else ~fixed
-    u = np.where(free, place.at, neutral)
-    if not free.any():
-        return u
-    here = place.z[train] + np.tensordot((u - place.at).astype(np.float32), place.slope[:, train], 1)
-    weight = np.sqrt(weights(here / np.float32(place.scale))).ravel().astype(float)
-    matrix = (place.slope[free][:, train].reshape(int(free.sum()), -1) * weight).T
-    matrix = np.concatenate([matrix, place.prior * np.eye(matrix.shape[1])])
-    target = np.concatenate([-here.ravel() * weight, place.prior * (neutral - u)[free]])
-    room = (quantities.low - u - EDGE)[free], (quantities.high - u + EDGE)[free]
-    u[free] += lsq_linear(matrix, target, room).x
-    return np.clip(u, quantities.low, quantities.high)
-
-
-def _concluded(quantities: Quantities, place: _Place, folds: Sequence[_Fold]) -> JointFit:
+def _concluded(quantities: Quantities, place: Place, folds: Sequence[_Fold]) -> JointFit:
     """Return a joint fit with its evidence, in the coordinates of its candidates."""
     problem, size = quantities.problem, quantities.size
     base, loss = problem.score.loss(problem.nominal), problem.score.loss(_unseen(folds))

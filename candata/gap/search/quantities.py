@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
+from candata.gap.data.robust_loss import rho, weights
 from candata.gap.fit.candidates import Candidate, typical_size
 from candata.gap.fit.fits import Members, present
+from candata.gap.fit.folds import FOLDS
 from candata.gap.fit.problem import Problem
 from candata.gap.measure.score import Compact
-from candata.gap.screening.refinement import divided
+from candata.gap.screening.slopes import divided
 from candata.statistics import MAD_TO_SD
 
 Array = NDArray[np.float64]
@@ -113,3 +117,78 @@ def robust_spread(z: Compact) -> float:
 def mean_size(z: Compact) -> float:
     """Return the mean size of residuals."""
     return float(np.abs(z).mean())
+
+
+#: Most Gauss-Newton steps of a fit, shares of a step that are simulated, and share of the loss that a step must take
+#: off for another to follow. Chosen.
+STEPS, SHARES, HELPS = 12, (1.0, 0.5, 0.2, 0.05), 0.01
+#: Room, in plausible sizes, that a number at its bound has beyond it: a bounded fit needs some. Chosen.
+EDGE = 1e-6
+
+
+@dataclass(frozen=True)
+class Place:
+    """Coordinates `at (d,)`, residuals `z (E, K)` and their `slope (d, E, K)` there.
+
+    `scale` is the spread of the residuals, and `prior` how much of them a plausible size off a neutral value costs.
+    """
+
+    at: Array
+    z: Compact
+    slope: Compact
+    scale: float
+    prior: float
+
+
+def descended(quantities: Quantities, at: Array, z: Compact, width: float, steps: int) -> tuple[Array, Compact]:
+    """Return coordinates and residuals `(E, K)` after Gauss-Newton steps within bounds, while they help.
+
+    Of each step some shares are simulated together, and the best is taken. It ends where no share helps, or replays do.
+    """
+    neutral = quantities.neutral / quantities.size
+    with suppress(AllowanceSpent):
+        for _ in range(steps):
+            place = Place(at, z, quantities.slopes(at, z, width), robust_spread(z), quantities.prior(z))
+            way = refitted(quantities, place, np.arange(len(z))) - at
+            tried = [(at + share * way) for share in SHARES]
+            places = [(at, z), *zip(tried, quantities.residuals(tried), strict=True)]
+
+            def cost(pair: tuple[Array, Compact], place: Place = place) -> float:
+                off = place.prior / place.scale * (pair[0] - neutral)
+                return float(rho(pair[1] / np.float32(place.scale)).sum(dtype=np.float64) + 0.5 * (off**2).sum())
+
+            before = cost(places[0])
+            at, z = min(places, key=cost)
+            if cost((at, z)) > (1 - HELPS) * before:
+                break
+    return at, z
+
+
+def settled(quantities: Quantities, at: Array, z: Compact, width: float) -> tuple[Array, Compact]:
+    """Return coordinates and residuals fitted on; what is needed to judge a fit stays of the allowance."""
+    quantities.allowance.reserved = 2.0 * (len(at) + len(quantities.kinds) + len(SHARES) * FOLDS + 2)
+    at, z = descended(quantities, at, z, width, STEPS)
+    quantities.allowance.reserved = 0.0
+    return at, z
+
+
+def refitted(
+    quantities: Quantities, place: Place, train: NDArray[np.int64], fixed: NDArray[np.bool_] | None = None
+) -> Array:
+    """Return the coordinates `(d,)` that fit some episodes best by the slopes of a place, within bounds.
+
+    Coordinates that are `fixed` stand at their neutral values.
+    """
+    neutral = quantities.neutral / quantities.size
+    free = np.ones(len(place.at), bool) if fixed is None else ~fixed
+    u = np.where(free, place.at, neutral)
+    if not free.any():
+        return u
+    here = place.z[train] + np.tensordot((u - place.at).astype(np.float32), place.slope[:, train], 1)
+    weight = np.sqrt(weights(here / np.float32(place.scale))).ravel().astype(float)
+    matrix = (place.slope[free][:, train].reshape(int(free.sum()), -1) * weight).T
+    matrix = np.concatenate([matrix, place.prior * np.eye(matrix.shape[1])])
+    target = np.concatenate([-here.ravel() * weight, place.prior * (neutral - u)[free]])
+    room = (quantities.low - u - EDGE)[free], (quantities.high - u + EDGE)[free]
+    u[free] += lsq_linear(matrix, target, room).x
+    return np.clip(u, quantities.low, quantities.high)

@@ -16,9 +16,10 @@ from candata.gap.measure.floor import null_recordings
 from candata.gap.replay.replayer import replay_all
 from candata.gap.replay.residuals import residual
 from candata.gap.replay.starts import starts
-from candata.gap.screening.refinement import WIDTHS, joint
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.slopes import WIDTHS
 from candata.gap.search.attribution import Attribution
-from candata.gap.validation.closure import intervals
+from candata.gap.validation.intervals import intervals
 
 Array = NDArray[np.float64]
 #: Null recordings of every episode on which an effect is tried. Chosen: with twelve episodes their mean gain is known

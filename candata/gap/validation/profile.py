@@ -12,7 +12,7 @@ from candata.gap.fit.comparison import standard_error
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.problem import Problem
 from candata.gap.screening.shortlist import taken
-from candata.gap.validation.closure import NORMAL, RISEN, every_other, intervals
+from candata.gap.validation.intervals import NORMAL, RISEN, every_other, intervals
 
 Array = NDArray[np.float64]
 #: Standard errors, and log likelihood [nats], by which the loss must rise for that to count: what a parabola has risen

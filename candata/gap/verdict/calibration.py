@@ -18,7 +18,7 @@ from candata.gap.search.attribution import Attribution
 from candata.gap.search.joint_fit import ROUGH, JointFit, joint_fit
 from candata.gap.validation.closure import HeldOut, gap
 from candata.gap.validation.null_test import SURE_GAP, leaves_gap
-from candata.gap.verdict.conclusion import Diagnosis, Findings, simulator
+from candata.gap.verdict.findings import Diagnosis, Findings, simulator
 from candata.gap.verdict.verdict import PARTLY
 from candata.scenes.traits import is_toss
 from candata.schema.report import Calibration, Gap, Verdict

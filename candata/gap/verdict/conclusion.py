@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +19,20 @@ from candata.gap.force.mending import mended
 from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.replay.residuals import residual
-from candata.gap.search.attribution import Attribution
 from candata.gap.validation.closure import HeldOut, gap, measures, shares, support, trust
 from candata.gap.validation.profile import Known, known
 from candata.gap.verdict.example import example
 from candata.gap.verdict.exhibits import collinearity, elements, ranges
 from candata.gap.verdict.figures import EpisodeLosses, Evidence
+from candata.gap.verdict.findings import Diagnosis, Findings, judged_problem, simulator
 from candata.gap.verdict.proposal import more, separating
 from candata.gap.verdict.provenance import data_used, given_note, provenance, title
 from candata.gap.verdict.regime import with_regimes
 from candata.gap.verdict.unknown_cause import Described, describe, described, outdoing, unseating
 from candata.gap.verdict.verdict import FEWEST, class_of, unknown, verdict
-from candata.policies import Motion
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
-from candata.schema.effect import EffectsFile, Value
+from candata.schema.effect import Value
 from candata.schema.report import (
     DiagnosisData,
     EpisodeCount,
@@ -47,66 +44,11 @@ from candata.schema.report import (
     Symptom,
     Verdict,
 )
-from candata.simulate.world import all_effects
 from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 #: Share of what is possible within which a number counts as at its bound. Chosen.
 NEAR_BOUND = 0.01
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """The report, what its figures show, and the repaired simulator.
-
-    Attributes
-    ----------
-    report : Report
-    evidence : Evidence
-    effects : EffectsFile
-        Ready to be written as `effects.yaml`: the scene's given effects and the named ones.
-    motion : tuple of Motion
-        What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
-    stopgap : EffectsFile or None
-        The same with a force fitted to what remains, for `learned_residual.yaml`; None where there is none.
-    calibration : EffectsFile or None
-        A joint fit that claims no names, for `calibration.yaml`; None where there is none.
-    named : tuple of EffectSetting
-        The named effects alone, on top of the scene with its given effects.
-    replays : float
-        What was simulated, in replays of all episodes: its cost, the same on any machine. What an earlier diagnosis
-        kept in the cache is not simulated again, so that it depends on the cache, as nothing of the report does.
-    """
-
-    report: Report
-    evidence: Evidence
-    effects: EffectsFile
-    motion: tuple[Motion, ...] = ()
-    stopgap: EffectsFile | None = None
-    calibration: EffectsFile | None = None
-    named: EffectSet = ()
-    replays: float = 0.0
-
-    def __repr__(self) -> str:
-        """Return the report's line."""
-        return f"Diagnosis({self.report!r})"
-
-    def _repr_html_(self) -> str:
-        """Return the report's table: what a notebook shows."""
-        return self.report._repr_html_()
-
-
-@dataclass(frozen=True)
-class Findings:
-    """All that a conclusion is drawn from; `world` is where `held` was measured, `problem` where it was searched."""
-
-    dataset: Dataset
-    scene: Scene
-    problem: Problem
-    found: Attribution
-    world: Problem
-    held: HeldOut
-    episodes: int
 
 
 def concluded(f: Findings) -> Diagnosis:
@@ -128,11 +70,11 @@ def concluded(f: Findings) -> Diagnosis:
         rng = f.world.stream("where", f.problem.setting(chosen.members if chosen else ()))
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = typical_size(f.world, f.held, chosen is not None, left[0]) if left else (None, None)
-    proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
+    proposed, motion = separating(judged_problem(f), f.found) if word == "ambiguous" else (None, ())
     named: tuple[NamedEffect, ...] = ()
     repaired: EffectSet = ()
     if chosen and word in ("explained", "partly_explained"):
-        ends = known(_judged(f), chosen)
+        ends = known(judged_problem(f), chosen)
         named = _named(f, chosen, ends, trust(size))
         repaired = f.problem.setting(chosen.split(ends.value))
     rest = better or _rest(f, word, repaired, left)
@@ -181,7 +123,7 @@ def _unseated(f: Findings, word: Verdict, size: Gap, where: Sequence[Symptom]) -
         return described(f.found.force, (), where, nearest)
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    problem, chosen, doubt = _judged(f), f.found.chosen, f.found.doubt
+    problem, chosen, doubt = judged_problem(f), f.found.chosen, f.found.doubt
     closed = size.closed or 0.0
     force = cache(lambda: mended(problem, ()) if doubt is None or doubt.may_close(closed) else None)
     found = unseating(force, size, where, nearest)
@@ -197,19 +139,9 @@ def _rest(f: Findings, word: Verdict, repaired: EffectSet, left: Sequence[Sympto
     fits = f.found.first.fits
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
     if repaired or f.found.doubt is None:
-        return describe(_judged(f) if repaired else f.problem, repaired, left, nearest)
+        return describe(judged_problem(f) if repaired else f.problem, repaired, left, nearest)
     found = f.found.doubt.lone.of_all
     return described(found, (), left, nearest) if found else None
-
-
-def simulator(scene: Scene, settings: EffectSet) -> EffectsFile:
-    """Return effects on top of a scene as a file of the plain scene, its given effects among them."""
-    return EffectsFile(scene=lasting(scene.name), effects=all_effects(scene, settings))
-
-
-def lasting(name: str) -> str:
-    """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
-    return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
 
 
 def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) -> tuple[float, str]:
@@ -223,7 +155,7 @@ def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) 
 def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
     alone = support(f.found.first.fits, f.found.first.base, f.problem.stream("support"))[0]
-    pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, f.found.rivals), strict=True)
+    pieces = zip(fit.members, _estimates(f, fit, ends), shares(judged_problem(f), fit, f.found.rivals), strict=True)
     out = []
     for (c, u), estimates, (share, backing) in pieces:
         out.append(
@@ -300,11 +232,6 @@ def ranked(first: Stage, problem: Problem) -> tuple[RankedEffect, ...]:
     ]
     dead = [RankedEffect(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
     return (*out, *dead)
-
-
-def _judged(f: Findings) -> Problem:
-    """Return the problem in units of the floor by which the candidates were judged."""
-    return replace(f.problem, score=f.found.score)
 
 
 def too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:

@@ -21,9 +21,10 @@ from candata.gap.screening.shortlist import brief
 from candata.gap.screening.signature_screen import respond, screening
 from candata.gap.search.outlook import first_cause
 from candata.gap.validation.closure import HeldOut, gap, held_out, measures
-from candata.gap.verdict.conclusion import Diagnosis, ranked, simulator, typical_size
+from candata.gap.verdict.conclusion import ranked, typical_size
 from candata.gap.verdict.exhibits import collinearity, elements
 from candata.gap.verdict.figures import EpisodeLosses, Evidence
+from candata.gap.verdict.findings import Diagnosis, simulator
 from candata.gap.verdict.provenance import data_used, given_note, provenance, title
 from candata.gap.verdict.regime import with_regimes
 from candata.scenes import Scene

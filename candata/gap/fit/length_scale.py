@@ -8,13 +8,15 @@ the same factor: the tracker's lengths. Only the rest height: the object, the su
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effects_with
 from candata.gap.data.recordings import Recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.problem import Problem
 from candata.gap.replay.residuals import REST_SPEED_MPS
 from candata.gap.replay.starts import STILL_ROWS, Starts
 from candata.gap.run.streams import Streams
@@ -225,3 +227,19 @@ def _scale(value: float, many: Array, episodes: int) -> Scale:
     """Return a scale with the interval of its resamples."""
     low, high = np.quantile(many, ENDS)
     return Scale(float(value), float(low) - SYSTEMATIC, float(high) + SYSTEMATIC, episodes)
+
+
+def with_lengths(problem: Problem) -> Problem:
+    """Return the problem with what free fall and rest say of the tracker's lengths, before anything is fitted."""
+    scene, recs = problem.replayer.scene, problem.recs
+    found = length_scale(scene, recs, problem.begin, problem.streams)
+    if found.scale is None:
+        return replace(problem, ruled_out=ruled_out(found))
+    c, s = candidate("pose_scale", scene), found.scale
+    note = (
+        f"the tracker's lengths are {s.value:.4f} of true ({s.low:.4f} to {s.high:.4f}), read off free fall and the "
+        f"height at rest of {s.episodes} tosses, without a fit of contact"
+    )
+    measured = ((c, np.log([s.value]) if c.logarithmic[0] else np.array([s.value])),)
+    noted = replace(recs, notes=(*recs.notes, note))
+    return replace(problem, recs=noted, ruled_out=ruled_out(found), measured=measured)

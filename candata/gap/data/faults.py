@@ -7,7 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.align import time_factor
+from candata.errors import DataError, RateError, Where
+from candata.gap.data.columns import ALONGSIDE, COMPARED, held_commands, recorded_columns
 from candata.rotation import difference
+from candata.scenes import Scene
+from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
 #: How many times the usual bend of an episode's poses a spike is, and the least that it is [m, rad]. Chosen: an object
@@ -128,3 +133,105 @@ def _spikes(around: list[Array], least: float) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         usual = np.array([[np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else 0.0 for e in one] for one in away])
         return np.asarray((away > np.maximum(TIMES * usual, least)[..., None]).all(0))
+
+
+#: Share of the usual length, and of a channel's rows, below which an episode is no use.
+SHORT = 0.1
+#: A stamp may lie this many rows, or this share of the episode, from where the rate puts it: jitter, a drifting clock.
+STAMP_ROWS, STAMP_SHARE = 3, 0.03
+#: Episodes that lack a channel are left out where this share and this many have it (fewer are not diagnosed);
+#: else the channel is.
+MOST, FEW = 2 / 3, 8
+
+
+def whole_episodes(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:
+    """Return the episodes that can be replayed, the channels they share, and what was left out."""
+    usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
+    faults = [fault_of(scene, e, usual) for e in episodes]
+    sound = [e for e, fault in zip(episodes, faults, strict=True) if fault is None]
+    first = next((f for f in faults if f is not None), None)
+    if first is not None and not sound:
+        raise first
+    broken = [(e.meta.id, f.problem) for e, f in zip(episodes, faults, strict=True) if f is not None]
+    shared, notes = [], []
+    for c in (c for c in COMPARED if _wanted(scene, c)):
+        have = [e for e in sound if _seen(e, c)]
+        if len(have) < len(sound) and len(have) >= max(FEW, MOST * len(sound)):
+            broken += [(e.meta.id, f"without {c}") for e in sound if not _seen(e, c)]
+            sound = have
+        if len(have) == len(sound):
+            shared += [c] * bool(have)
+        elif have:
+            notes.append(_not_compared(c, len(sound) - len(have), len(sound)))
+    if "joint_position" in shared:
+        for c in ALONGSIDE:
+            lacking = sum(not _seen(e, c) for e in sound)
+            shared += [c] * (not lacking)
+            notes += [_not_compared(c, lacking, len(sound))] * (0 < lacking < len(sound))
+    if broken:
+        named = "; ".join(f"{name}: {why}" for name, why in broken[:10])
+        more = f"; and {len(broken) - 10} more" if len(broken) > 10 else ""
+        notes.append(f"{len(broken)} of {len(episodes)} episodes left out ({named}{more})")
+    return sound, shared, tuple(notes)
+
+
+def _not_compared(channel: str, lacking: int, count: int) -> str:
+    """Return the note on a channel that some episodes lack."""
+    return f"{channel} is not compared: {lacking} of {count} episodes lack it"
+
+
+def fault_of(scene: Scene, episode: Episode, usual: float) -> DataError | None:
+    """Return why an episode cannot be replayed in the scene, or None; `usual` is the usual number of rows."""
+    if len(episode) < max(2.0, SHORT * usual):
+        return DataError(
+            "episodes are too short to replay",
+            expected="at least 2 rows",
+            found=f"{len(episode)}",
+            where=Where(episode=episode.meta.id),
+        )
+    try:
+        held_commands(scene, episode, recorded_columns(scene, episode))
+    except DataError as fault:
+        return fault
+    return _off_beat(episode)
+
+
+def _off_beat(episode: Episode) -> DataError | None:
+    """Return that rows are missing: a stamp lies far from where the rate puts it. A replay takes one step a row."""
+    step = 1 / episode.meta.rate_hz
+    steps = np.diff(episode.time_s)
+    ratio = float(np.median(steps) * episode.meta.rate_hz)
+    if factor := time_factor(ratio) if steps.min() > 0 and ratio > 0 else "":
+        return RateError(
+            "the rate is another than that of the stamps",
+            expected=f"stamps {step:.4g} s apart (rate_hz = {episode.meta.rate_hz:g})",
+            found=f"{np.median(steps):.4g} s apart, {1 / np.median(steps):.4g} Hz{factor}",
+            where=Where(episode=episode.meta.id, channel="time_ns"),
+            fix="give the true rate_hz in map.yaml, or the unit of the time column",
+        )
+    off = np.abs(episode.time_s - step * np.arange(len(episode)))
+    allowed = max(STAMP_ROWS * step, STAMP_SHARE * step * len(episode))
+    if off.max() <= allowed:
+        return None
+    row = int(np.argmax(off > allowed))
+    return RateError(
+        "stamps do not keep the rate: rows are missing, or the clock jumps",
+        expected=f"row {row} at {row * step:.3f} s ({episode.meta.rate_hz:g} Hz)",
+        found=f"{episode.time_s[row]:.3f} s",
+        where=Where(episode=episode.meta.id, channel="time_ns", index=row),
+        fix="import it on a regular grid, or give the true rate",
+    )
+
+
+def _seen(episode: Episode, channel: str) -> bool:
+    """Tell whether an episode holds a channel, and more than a few rows of it."""
+    return channel in episode and bool(episode.valid(channel).mean() > SHORT)
+
+
+def _wanted(scene: Scene, channel: str) -> bool:
+    """Tell whether the scene can predict a channel."""
+    return {
+        "joint_position": len(scene.joint_ids) > 0,
+        "object_pose": scene.object_id is not None,
+        "fingertip_force": len(scene.force_sensors) > 0,
+    }[channel]

@@ -12,10 +12,12 @@ from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import candidate
 from candata.gap.mismatch.commands import Paired, late, paired, within
 from candata.gap.mismatch.poses import evenly
-from candata.gap.mismatch.recording_mismatch import RecordingMismatch
+from candata.gap.mismatch.readings import Votes, errors, votes
+from candata.gap.mismatch.recording_mismatch import Comparison, RecordingMismatch
 from candata.gap.mismatch.swaps import distances
 from candata.gap.replay.replayer import EffectSet, Replayer
 from candata.gap.replay.starts import starts
+from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import Trajectory, rollout
 
@@ -175,3 +177,86 @@ def _apart(pairs: Paired, own: Array) -> float:
     size, spread = within(pairs.joint - own), within(pairs.joint)
     moving = spread > 5 * pairs.quiet + 1e-6
     return float(np.median(size[moving] / spread[moving])) if moving.any() else np.inf
+
+
+#: Ratio of the errors from which a shift by whole rows is told: it costs no simulation and accuses nobody.
+SHIFTED = 0.8
+#: Largest shift that is tried [s] and, of readings that come early, [rows]; least distance from the joints' own [rows].
+LATEST_READING_S, EARLIEST, APART_ROWS = 0.16, 3, 0.75
+#: Added to errors before their logarithm.
+SMALLEST = 1e-12
+
+
+def late_findings(
+    scene: Scene, recs: Recordings, nominal: dict[str, Array], joint_rows: float
+) -> tuple[Comparison, Recordings]:
+    """Return notes that poses or forces come some rows late or early beside the scene's, and the recordings in time.
+
+    Undecidable is a lateness that fits best but not in all episodes, or of which no episode says anything.
+
+    Parameters
+    ----------
+    joint_rows : float
+        Rows by which the joints come after the scene's: what they do to the object comes with them.
+    """
+    notes: list[RecordingMismatch] = []
+    undecidable: list[str] = []
+    rate = scene.file.rate_hz
+    for channel, name in (("object_pose", "poses"), ("fingertip_force", "forces")):
+        if channel not in recs.readings:
+            continue
+        by_rows = _errors_by_shift(channel, recs, nominal, max(2, round(LATEST_READING_S * rate)))
+        best = min(by_rows, key=lambda rows: _log_error(by_rows[rows]))
+        vote, is_apart = votes(by_rows[0], by_rows[best], SHIFTED), abs(best - joint_rows) >= APART_ROWS
+        if vote.won and is_apart:
+            notes.append(_late_channel(channel, name, best, rate, vote))
+            recs = replace(recs, readings=recs.readings | {channel: _in_time(recs.readings[channel], best)})
+        elif (best and is_apart and not vote.ruled_out) or not any(
+            v.better or v.worse for v in (votes(by_rows[0], e, SHIFTED) for e in by_rows.values())
+        ):
+            undecidable.append(f"{name} that come late")
+    return Comparison(tuple(notes), tuple(undecidable)), recs
+
+
+def _log_error(error: dict[str, Array]) -> float:
+    """Return the sum of the logarithms of all errors."""
+    return float(np.nansum(np.log(np.stack(list(error.values())) + SMALLEST)))
+
+
+def _in_time(values: Array, rows: int) -> Array:
+    """Return readings `(E, T, ...)` that came some rows late at the rows they belong to; NaN where they lack."""
+    out = np.full_like(values, np.nan)
+    if rows > 0:
+        out[:, :-rows] = values[:, rows:]
+    else:
+        out[:, -rows:] = values[:, :rows]
+    return out
+
+
+def _errors_by_shift(
+    channel: str, recs: Recordings, nominal: dict[str, Array], latest: int
+) -> dict[int, dict[str, Array]]:
+    """Return the errors of a channel against the scene's by the rows that it is taken to come late.
+
+    All are of the same recorded rows.
+    """
+    real, simulated = recs.readings[channel], nominal[channel]
+    latest = min(latest, real.shape[1] // 4)
+    rows = np.arange(latest, real.shape[1] - EARLIEST)
+    part = replace(recs, readings={channel: real[:, rows]})
+    return {late: errors(part, {channel: simulated[:, rows - late]}) for late in range(-EARLIEST, latest + 1)}
+
+
+def _late_channel(channel: str, name: str, rows: int, rate: float, vote: Votes) -> RecordingMismatch:
+    """Return the note that a channel comes some rows late, or early."""
+    when, ms = "later" if rows > 0 else "earlier", f"{1e3 * abs(rows) / rate:.0f} ms"
+    count = f"{abs(rows)} row{'s' * (abs(rows) != 1)}"
+    return RecordingMismatch(
+        f"late_{name}",
+        False,
+        f"{name} come {when} than the scene's",
+        "readings at the time of their row",
+        f"as if they came {count} ({ms}) {'late' if rows > 0 else 'early'}: {vote.text}",
+        "a sensor that takes its time, or rows counted wrong: look at the stamps of this stream",
+        channel,
+    )

@@ -7,8 +7,7 @@ torque of the motors, the stiffness of the wrist.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import mujoco
@@ -16,13 +15,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from candata.effects import Forces
 from candata.effects._select import drive_torque
-from candata.errors import UnknownNameError
 from candata.scenes import Scene
 from candata.schema.bench import OutsideCause
-from candata.simulate.loop import Alter
-from candata.simulate.world import Filter, Worlds
 
 Array = NDArray[np.float64]
 Values = dict[str, float]
@@ -40,14 +35,10 @@ class _Cause:
         Truth of where it acts.
     kind : str
         Which list of filters it joins: command, force or reading.
-    possible : callable
-        `scene -> bool`.
-    draw : callable
-        `(scene, rng) -> (element, values)`.
-    start : callable
-        `(scene, cause, batch) -> state`.
-    apply : callable
-        `(state, x) -> (state, x)`.
+    possible, draw : callable
+        `scene -> bool` and `(scene, rng) -> (element, values)`.
+    start, apply : callable
+        `(scene, cause, batch) -> state` and `(state, x) -> (state, x)`.
     """
 
     acts_on: Literal["joint", "fingertip", "object", "wrist"]
@@ -56,47 +47,6 @@ class _Cause:
     draw: Callable[[Scene, np.random.Generator], tuple[str | None, Values]]
     start: Callable[[Scene, OutsideCause, Batch], Any]
     apply: Callable[[Any, Any], tuple[Any, Any]]
-
-
-def possible_outside(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the outside causes that can act in the scene."""
-    return tuple(name for name, cause in CAUSES.items() if cause.possible(scene))
-
-
-def draw_outside(name: str, scene: Scene, rng: np.random.Generator) -> OutsideCause:
-    """Return an outside cause with its place and its numbers.
-
-    Raises
-    ------
-    UnknownNameError
-        When there is none of that name.
-    """
-    if name not in CAUSES:
-        raise UnknownNameError("outside cause", name, CAUSES)
-    element, values = CAUSES[name].draw(scene, rng)
-    return OutsideCause(name=name, acts_on=CAUSES[name].acts_on, element=element, values=values)
-
-
-def alter_with(scene: Scene, outside: OutsideCause | None) -> Alter | None:
-    """Return what adds an outside cause to the worlds of a batch; None for none."""
-    return None if outside is None else partial(_altered, scene, outside)
-
-
-def _altered(scene: Scene, outside: OutsideCause, batch: Batch, worlds: Worlds) -> Worlds:
-    """Return the worlds with the cause's filter behind those of the effects."""
-    cause = CAUSES[outside.name]
-    own = Filter(cause.apply, cause.start(scene, outside, batch))
-    if cause.kind == "command":
-        return replace(worlds, command=(*worlds.command, own))
-    if cause.kind == "force":
-        return replace(worlds, force=(*worlds.force, replace(own, apply=partial(_added, cause.apply))))
-    return replace(worlds, reading=(*worlds.reading, own))
-
-
-def _added(apply: Callable[[Any, Any], tuple[Any, Any]], state: Any, x: Forces) -> tuple[Any, Forces]:
-    """Return the state and the forces with the cause's added to them."""
-    state, force = apply(state, x.added)
-    return state, x._replace(added=force)
 
 
 def _weight(scene: Scene) -> float:
