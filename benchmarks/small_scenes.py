@@ -26,9 +26,9 @@ from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.rigs.cases import make_rig_case, make_rig_cases, seal_rig_labels
 from candata.gap.blind.rigs.causes import CAUSES
 from candata.gap.blind.rigs.design import ALSO_CUT, TRAITS
-from candata.gap.blind.rigs.planting import drawn_cause, is_clear
+from candata.gap.blind.rigs.planted_world import drawn_cause, is_clear
 from candata.gap.blind.rigs.recording import sane_rig
-from candata.gap.blind.running import Place, run_cases
+from candata.gap.blind.runs import Place, run_cases
 from candata.schema.bench import CaseResult, Label, LabelsFile
 from candata.simulate.crew import Crew, local
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.errors import DataError
-from candata.gap.data.recordings import Recordings
+from candata.gap.data.recordings import Recordings, title
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.problem import Problem, SoFar
 from candata.gap.fit.world_floor import in_world
@@ -31,7 +31,6 @@ from candata.gap.verdict.conclusion import concluded, too_little
 from candata.gap.verdict.edit_test import FEW_REPLICAS, replayed
 from candata.gap.verdict.findings import Diagnosis, Findings
 from candata.gap.verdict.interruption import unfinished
-from candata.gap.verdict.provenance import title
 from candata.gap.verdict.verdict import verdict
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss

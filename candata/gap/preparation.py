@@ -15,9 +15,9 @@ from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
 from candata.gap.data.noise import sensor_noise
-from candata.gap.data.recordings import Recordings, read
+from candata.gap.data.recordings import Recordings, read, title
 from candata.gap.data.testability import library as searchable
-from candata.gap.fit.folds import folds
+from candata.gap.fit.folds import FEWEST, folds
 from candata.gap.fit.length_scale import with_lengths
 from candata.gap.fit.problem import Problem, SoFar
 from candata.gap.fit.signatures import library, sharing_note
@@ -33,8 +33,6 @@ from candata.gap.replay.starts import start_notes, starts
 from candata.gap.run.pace import Forecast, Pace
 from candata.gap.run.streams import Streams
 from candata.gap.screening.shortlist import with_telling
-from candata.gap.verdict.provenance import title
-from candata.gap.verdict.verdict import FEWEST
 from candata.scenes.traits import is_toss
 
 Progress = Callable[[str], None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from candata.effects import EFFECTS, effect, effect_names
-from candata.gap.verdict.verdict import FEWEST
+from candata.gap.fit.folds import FEWEST
 from candata.reports import words
 from candata.reports.numbers import digits, format_estimate, unit_of
 from candata.schema.report import Estimate, NamedEffect, Report

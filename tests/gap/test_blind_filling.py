@@ -13,8 +13,8 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError
 from candata.gap import diagnose
-from candata.gap.blind.filling import MANY, keep_signature, planned, shared_by, shared_tasks, source
-from candata.gap.blind.running import Place
+from candata.gap.blind.runs import Place
+from candata.gap.blind.signature_library import MANY, keep_signature, planned, shared_by, shared_tasks, source
 from candata.gap.fit import signatures
 from candata.gap.fit.candidates import candidates
 from candata.gap.preparation import posed

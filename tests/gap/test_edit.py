@@ -8,7 +8,7 @@ import pytest
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.gap.data.recordings import recordings
 from candata.gap.measure import floor
-from candata.gap.replay import replayer as replay
+from candata.gap.replay import replayer
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.verdict import edit_test as edit
@@ -81,7 +81,7 @@ def test_however_many_episodes_few_are_simulated_at_a_time(arm, arm_episodes, mo
     args = Replayer(arm), recs, damping(TRUE)
     whole = edit.replayed(*args, Streams(1), 2)
     monkeypatch.setattr(edit, "MANY", 4)
-    for module in (replay, floor):
+    for module in (replayer, floor):
         monkeypatch.setattr(module, "rollout", lambda *a, **k: (worlds.append(len(a[1])), rollout(*a, **k))[1])
     found = edit.replayed(*args, Streams(1), 2)
     # A block of at most four episodes: with and without the effect, or two nulls of each.

@@ -9,9 +9,10 @@ import pytest
 
 from candata.gap.data.recordings import recordings
 from candata.gap.measure.floor import floor, null_recordings, perturbed
+from candata.gap.replay.hand_starts import STILL_ROWS
 from candata.gap.replay.replayer import Replayer, replay_all
 from candata.gap.replay.residuals import layout
-from candata.gap.replay.starts import STILL_ROWS, starts
+from candata.gap.replay.starts import starts
 from candata.rotation import difference
 from candata.schema.scene import Noise
 

@@ -36,7 +36,7 @@ def _taken(monkeypatch):
 
         return SimpleNamespace(score=problem.score, residuals=residuals)
 
-    monkeypatch.setattr("candata.gap.validation.closure.taken", taken)
+    monkeypatch.setattr("candata.gap.validation.intervals.taken", taken)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_they_narrow_with_episodes(posed):
 def test_of_many_episodes_every_other_is_simulated(posed, monkeypatch, episodes, simulated):
     asked = []
     monkeypatch.setattr(
-        "candata.gap.validation.closure.taken", lambda problem, some: asked.append(len(some)) or problem
+        "candata.gap.validation.intervals.taken", lambda problem, some: asked.append(len(some)) or problem
     )
     problem, fit, _ = posed(1, episodes)
     problem.residuals = lambda worlds: [fit.plane.z[: asked[-1]]] * len(worlds)

@@ -29,7 +29,7 @@ class Episodes(tuple):
 @pytest.fixture(autouse=True)
 def _taken(monkeypatch):
     """Let all episodes be simulated."""
-    for module in ("profile", "closure"):
+    for module in ("profile", "intervals"):
         monkeypatch.setattr(f"candata.gap.validation.{module}.taken", lambda problem, some: problem)
         monkeypatch.setattr(f"candata.gap.validation.{module}.every_other", lambda tasks: np.arange(len(tasks)))
 

@@ -15,7 +15,7 @@ from candata.gap.blind.misses import miss
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.rigs.cases import make_rig_cases, null_traits, seal_rig_labels
 from candata.gap.blind.rigs.design import TRAITS, all_traits
-from candata.gap.blind.scoring import score_run
+from candata.gap.blind.scores import score_run
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting

@@ -14,7 +14,7 @@ from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening.refinement import joint
-from candata.gap.screening.slopes import WIDTHS, divided, slopes_of
+from candata.gap.screening.set_slopes import WIDTHS, divided, slopes_of
 
 FRICTION = 0.6
 

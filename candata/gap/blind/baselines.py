@@ -20,7 +20,7 @@ from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import Bed, make_bed
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import text_of
-from candata.gap.blind.running import Place, finished, spread
+from candata.gap.blind.runs import Place, finished, spread
 from candata.gap.blind.signatures import Signature, least_squares, signatures
 from candata.gap.data.robust_loss import rho
 from candata.gap.fit.candidates import Candidate, candidate, probes

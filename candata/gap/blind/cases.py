@@ -1,4 +1,4 @@
-"""Blind cases on disk: labels sealed first, then a folder a case that tells nothing of its label.
+"""Blind cases on disk: a folder a case that tells nothing of its label.
 
 A case is a folder that anybody can read, and make: a candata dataset with a `case.json` beside its files,
 

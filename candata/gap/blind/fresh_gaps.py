@@ -14,7 +14,7 @@ from candata.errors import CandataError
 from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.running import Place, finished, spread
+from candata.gap.blind.runs import Place, finished, spread
 from candata.gap.data.recordings import recordings
 from candata.gap.replay.effort_unit import with_effort_unit
 from candata.gap.replay.replayer import EffectSet, Replayer

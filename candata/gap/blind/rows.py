@@ -1,4 +1,4 @@
-"""Rows of the table of a run: shares, quantiles and means of cases."""
+"""Rows of the table of a run: shares, quantiles and means of cases, and of random small scenes by trait."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from candata.datasets.writing import write_text
 from candata.effects import read_effects
 from candata.errors import CandataError, UsageError, Where
 from candata.gap.blind.labelled_set import LabelledSet, pairs_of
-from candata.gap.blind.running import finished, spread
+from candata.gap.blind.runs import finished, spread
 from candata.gap.diagnosis import diagnose, near_reference
 from candata.gap.verdict.findings import simulator
 from candata.scenes import Scene, load_scene

@@ -1,4 +1,4 @@
-"""Readings that jump out for one row and back, or to one value: another marker was taken, an encoder was misread."""
+"""Faults of recordings: episodes that cannot be replayed, readings that jump out and back or to one value."""
 
 from __future__ import annotations
 

@@ -229,3 +229,8 @@ def _padded(values: Array, length: int, fill: float | None) -> Array:
     missing = length - len(values)
     tail = np.repeat(values[-1:], missing, axis=0) if fill is None else np.full((missing, *values.shape[1:]), fill)
     return np.concatenate([values, tail])
+
+
+def title(dataset: Dataset) -> str:
+    """Return a dataset's name with the start of its digest."""
+    return f"{dataset.name}@{dataset.digest[:12]}"

@@ -138,3 +138,7 @@ def _quadratic_gain(quadratic: NullQuadratic, chosen: Index, parts: list[Index])
     for f, test in enumerate(parts):
         gain[test] = quadratic.gain(chosen, test, quadratic.step(chosen, rest(parts, f)))
     return float(gain.mean())
+
+
+#: Fewest episodes on which anything is decided.
+FEWEST = 8

@@ -17,8 +17,9 @@ from candata.effects import effects_with
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import candidate
 from candata.gap.fit.problem import Problem
+from candata.gap.replay.hand_starts import STILL_ROWS
 from candata.gap.replay.residuals import REST_SPEED_MPS
-from candata.gap.replay.starts import STILL_ROWS, Starts
+from candata.gap.replay.starts import Starts
 from candata.gap.run.streams import Streams
 from candata.rotation import difference, rotate
 from candata.scenes import Scene

@@ -13,7 +13,7 @@ import numpy as np
 from candata.gap.data.recordings import Recordings
 from candata.gap.replay.replayer import EffectSet, Replayer
 from candata.gap.replay.starts import Starts
-from candata.gap.run import cache as kept
+from candata.gap.run import cache
 from candata.scenes import Scene
 
 #: Rooms whose code decides a signature.
@@ -75,7 +75,7 @@ def known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts
     same = [(own, found) for own, found in read if _is_same(scene, found, begin)]
     nearest = min(same, key=lambda pair: float(np.abs(pair[1].qpos - begin.qpos).max()), default=None)
     if nearest is not None:
-        kept.used(nearest[0])
+        cache.used(nearest[0])
     return nearest
 
 
@@ -83,14 +83,14 @@ def new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:
     """Return a new folder for signatures from a start, and that start."""
     arrays = begin.arrays
     own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
-    kept.used(own)
-    kept.keep(own / "starts.npz", **arrays)
+    cache.used(own)
+    cache.keep(own / "starts.npz", **arrays)
     return own, begin
 
 
 def _start_in(file: Path) -> Starts | None:
     """Return the start kept in a file; None where it cannot be read."""
-    found = kept.read(file)
+    found = cache.read(file)
     return Starts(**found) if found else None
 
 

@@ -29,7 +29,7 @@ from candata.gap.measure.floor import null_residuals
 from candata.gap.replay.replayer import BATCH, EffectSet, Replayer, read_alike, replay_all, true_start
 from candata.gap.replay.residuals import Layout, residual
 from candata.gap.replay.starts import Starts, starts
-from candata.gap.run import cache as kept
+from candata.gap.run import cache
 from candata.schema.scene import Noise
 from candata.simulate import rollout
 
@@ -122,13 +122,13 @@ class Library:
         for name, some in zip(names, settings, strict=True):
             if name not in self.memo and is_read_at_start(some):
                 self._signature(some)
-            elif name not in self.memo and (found := kept.read(self._file(name))) is not None:
+            elif name not in self.memo and (found := cache.read(self._file(name))) is not None:
                 self.memo[name] = found["residual"]
         new = {name: some for name, some in zip(names, settings, strict=True) if name not in self.memo}
         played = replay_all(self.replayer, self.recs, self.begin, list(new.values())) if new else []
         for name, readings in zip(new, played, strict=True):
             self.memo[name] = (self.raw - residual(self.recs, self.plan, readings)).astype(np.float32)
-            kept.keep(self._file(name), residual=self.memo[name])
+            cache.keep(self._file(name), residual=self.memo[name])
         return [self.memo[name] for name in names]
 
     def knows(self, some: EffectSet) -> bool:
@@ -142,8 +142,8 @@ class Library:
 
     def keep(self, some: EffectSet) -> None:
         """Simulate a signature into the cache, unless it is there; nothing of it stays in memory."""
-        if kept.read(self._file(self._name(some))) is None:
-            kept.keep(self._file(self._name(some)), residual=self._residual(some) - self._nominal())
+        if cache.read(self._file(self._name(some))) is None:
+            cache.keep(self._file(self._name(some)), residual=self._residual(some) - self._nominal())
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
@@ -182,10 +182,10 @@ class Library:
         """Return what `text` names: from memory, from the cache, or made and kept in both."""
         if text not in self.memo:
             file = self._file(text)
-            found = kept.read(file)
+            found = cache.read(file)
             self.memo[text] = make() if found is None else found["residual"]
             if found is None:
-                kept.keep(file, residual=self.memo[text])
+                cache.keep(file, residual=self.memo[text])
         return self.memo[text]
 
     def _file(self, text: str) -> Path | None:
@@ -226,7 +226,7 @@ def library(
     known = known_start(place, begin, replayer.scene) if share is not False else None
     if known is None and not share:
         own_place = place / f"seen-{content_of(recs, begin)}"
-        kept.used(own_place)
+        cache.used(own_place)
         return Library(replayer, recs, begin, flat, raw, own_place, True, told=told)
     folder, shared = known or new_start(place, begin)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from candata.gap.data.deviation import COLUMNS, shifted_readings
 from candata.gap.data.recordings import Recordings
 from candata.gap.data.sample_hold import held
+from candata.gap.replay.hand_starts import STILL_ROWS
 from candata.gap.replay.replayer import EffectSet, Replayer, read_alike, replay, true_start
 from candata.gap.replay.residuals import Layout, residual
-from candata.gap.replay.starts import FIT_ROWS, STILL_ROWS, Starts, starts
+from candata.gap.replay.starts import FIT_ROWS, Starts, starts
 from candata.rotation import exp, multiply
 from candata.scenes.traits import is_toss
 from candata.schema.scene import Noise

@@ -12,7 +12,6 @@ from candata.gap.data.recordings import Recordings
 from candata.gap.data.testability import untested_notes
 from candata.gap.mismatch.commands import Paired, late, paired, slope_findings, unit_findings
 from candata.gap.mismatch.fingertip_exchange import exchange_findings, exchange_rivals
-from candata.gap.mismatch.following import following_findings, still_findings, unstable_findings, zero_findings
 from candata.gap.mismatch.force_units import scale_findings
 from candata.gap.mismatch.poses import pose_findings, without_object
 from candata.gap.mismatch.ranges import range_findings
@@ -21,8 +20,9 @@ from candata.gap.mismatch.recording_mismatch import Comparison, RecordingMismatc
 from candata.gap.mismatch.sensors import distance_findings, force_findings, touches
 from candata.gap.mismatch.swaps import Swap, confirmed, distances, ordered, overlap, swap_findings, swaps
 from candata.gap.mismatch.timing import SampleReplay, late_findings, shift_findings
+from candata.gap.mismatch.tracking import following_findings, still_findings, unstable_findings, zero_findings
+from candata.gap.replay.hand_starts import STILL_ROWS
 from candata.gap.replay.replayer import Replayer
-from candata.gap.replay.starts import STILL_ROWS
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 

@@ -1,4 +1,4 @@
-"""Commands that do not match the joints: another unit, another order, another sign, another time, or no motion."""
+"""Commands that do not match the joints: in another unit, another multiple or another sign."""
 
 from __future__ import annotations
 

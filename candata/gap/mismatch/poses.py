@@ -1,4 +1,4 @@
-"""Object poses that are not what the schema says: another unit, another place, another order of the quaternion."""
+"""Object poses that are not what the schema says, in unit, place or order, and recordings without any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that fit the scene only when they are read another way: conjugated, mirrored, exchanged, turned, late.
+"""Recordings that fit the scene only when they are read another way: conjugated, mirrored, exchanged, turned.
 
 Each alternative is judged as the recordings are: the scene is played from the start and under the commands that it
 gives, and the difference to what was recorded is compared episode by episode. An alternative holds where it fits far

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from candata.gap.data.recordings import Recordings
 from candata.gap.mismatch.poses import FAR_M, evenly_spread
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
-from candata.gap.replay.starts import STILL_ROWS, reach
+from candata.gap.replay.hand_starts import STILL_ROWS
+from candata.gap.replay.starts import reach
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]

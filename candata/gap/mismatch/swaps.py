@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 from candata.gap.data.lag import lagged
 from candata.gap.data.recordings import Recordings
 from candata.gap.mismatch.commands import Paired
-from candata.gap.mismatch.following import ZERO_RAD
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
+from candata.gap.mismatch.tracking import ZERO_RAD
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

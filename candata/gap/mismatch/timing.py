@@ -1,4 +1,4 @@
-"""Joints that move before their commands or a whole step late, as if commands or rows were counted wrong."""
+"""Joints that move before their commands or a whole step late, and poses or forces that come some rows late."""
 
 from __future__ import annotations
 

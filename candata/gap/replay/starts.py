@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.gap.data.recordings import Recordings
-from candata.gap.replay.hand_starts import STILL_ROWS as STILL_ROWS
 from candata.gap.replay.hand_starts import hand_starts
 from candata.rotation import conjugate, difference, exp, log, multiply, normalise
 from candata.scenes import Scene

@@ -15,7 +15,7 @@ from candata.gap.fit.folds import CrossFit, cross_fit
 from candata.gap.fit.problem import Problem, fit_one
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.measure.score import Compact
-from candata.gap.screening.slopes import (
+from candata.gap.screening.set_slopes import (
     FEW_EFFECTS,
     MOST_SLOPES,
     WIDTHS,

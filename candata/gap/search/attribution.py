@@ -10,7 +10,7 @@ from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import Grown, judged
-from candata.gap.force.mending import Doubt, LoneForce, Mended
+from candata.gap.force.remedy import Doubt, LoneForce, Mended
 from candata.gap.measure.score import Score
 from candata.gap.run.pace import AGAIN, REST, SHARPEN
 from candata.gap.screening.look import as_simulated, look, look_again, narrowed, sharpened, unheld

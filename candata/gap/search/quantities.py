@@ -1,4 +1,4 @@
-"""Quantities: effects of a problem as one vector of numbers, what it leaves of the recordings, and at what cost."""
+"""Quantities: effects of a problem as one vector of numbers, what it leaves, at what cost, and steps down."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from candata.gap.fit.fits import Members, present
 from candata.gap.fit.folds import FOLDS
 from candata.gap.fit.problem import Problem
 from candata.gap.measure.score import Compact
-from candata.gap.screening.slopes import divided
+from candata.gap.screening.set_slopes import divided
 from candata.statistics import MAD_TO_SD
 
 Array = NDArray[np.float64]

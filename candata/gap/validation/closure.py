@@ -1,4 +1,4 @@
-"""How far: held-out discrepancies before and after, shares, intervals and support by resampling episodes."""
+"""How far: held-out discrepancies before and after, the closed share, and support by resampling episodes."""
 
 from __future__ import annotations
 

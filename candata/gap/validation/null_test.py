@@ -17,7 +17,7 @@ from candata.gap.replay.replayer import replay_all
 from candata.gap.replay.residuals import residual
 from candata.gap.replay.starts import starts
 from candata.gap.screening.refinement import joint
-from candata.gap.screening.slopes import WIDTHS
+from candata.gap.screening.set_slopes import WIDTHS
 from candata.gap.search.attribution import Attribution
 from candata.gap.validation.intervals import intervals
 

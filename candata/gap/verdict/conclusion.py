@@ -1,4 +1,4 @@
-"""What a diagnosis says in the end: the report, its figures and the repaired simulator, from all that was found."""
+"""What a diagnosis says in the end: the verdict, the named effects and the ranking, from all that was found."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.effects import rail_units
-from candata.gap.data.recordings import Recordings
+from candata.gap.data.recordings import Recordings, title
 from candata.gap.fit.candidates import Candidate
 from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import FEWEST
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.stage import Stage
-from candata.gap.force.mending import mended
+from candata.gap.force.remedy import mended
 from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.replay.residuals import residual
@@ -26,10 +27,10 @@ from candata.gap.verdict.exhibits import collinearity, elements, ranges
 from candata.gap.verdict.figures import EpisodeLosses, Evidence
 from candata.gap.verdict.findings import Diagnosis, Findings, judged_problem, simulator
 from candata.gap.verdict.proposal import more, separating
-from candata.gap.verdict.provenance import data_used, given_note, provenance, title
+from candata.gap.verdict.provenance import data_used, given_note, provenance
 from candata.gap.verdict.regime import with_regimes
 from candata.gap.verdict.unknown_cause import Described, describe, described, outdoing, unseating
-from candata.gap.verdict.verdict import FEWEST, class_of, unknown, verdict
+from candata.gap.verdict.verdict import class_of, unknown, verdict
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.schema.effect import Value

@@ -12,6 +12,7 @@ from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
 from candata.gap.data.noise import sensor_noise
 from candata.gap.data.recordings import Recordings, read
+from candata.gap.fit.folds import FEWEST
 from candata.gap.measure.floor import REPLICAS, floor
 from candata.gap.measure.score import Score, score
 from candata.gap.replay.effort_unit import with_effort_unit
@@ -21,7 +22,7 @@ from candata.gap.replay.starts import Starts, starts
 from candata.gap.replay.starts import joined as joined_starts
 from candata.gap.run.streams import Streams
 from candata.gap.validation.closure import RESAMPLES, gap
-from candata.gap.verdict.verdict import EXPLAINED, FEWEST
+from candata.gap.verdict.verdict import EXPLAINED
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.report import EditTest

@@ -8,6 +8,7 @@ from math import inf
 import numpy as np
 
 from candata.datasets import Dataset
+from candata.gap.data.recordings import title
 from candata.gap.fit.comparison import null_level
 from candata.gap.fit.problem import Problem, SoFar, fit_one
 from candata.gap.fit.stage import Stage
@@ -25,7 +26,7 @@ from candata.gap.verdict.conclusion import ranked, typical_size
 from candata.gap.verdict.exhibits import collinearity, elements
 from candata.gap.verdict.figures import EpisodeLosses, Evidence
 from candata.gap.verdict.findings import Diagnosis, simulator
-from candata.gap.verdict.provenance import data_used, given_note, provenance, title
+from candata.gap.verdict.provenance import data_used, given_note, provenance
 from candata.gap.verdict.regime import with_regimes
 from candata.scenes import Scene
 from candata.schema.report import DiagnosisData, EpisodeCount, RankedEffect, Report, Symptom, UnknownCause

@@ -6,6 +6,7 @@ import mujoco
 
 from candata import __version__
 from candata.datasets import Dataset
+from candata.gap.data.recordings import title
 from candata.gap.fit.folds import FOLDS
 from candata.gap.fit.problem import Problem
 from candata.scenes import Scene
@@ -31,11 +32,6 @@ def given_note(scene: Scene) -> tuple[str, ...]:
         return ()
     names = ", ".join(f"{s.name} {s.element}" if s.element else s.name for s in scene.given_effects)
     return (f"effects that the nominal simulator holds already: {names}",)
-
-
-def title(dataset: Dataset) -> str:
-    """Return a dataset's name with the start of its digest."""
-    return f"{dataset.name}@{dataset.digest[:12]}"
 
 
 def provenance(scene: Scene) -> dict[str, str]:

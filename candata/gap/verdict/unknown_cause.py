@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.fit.comparison import standard_error
 from candata.gap.fit.problem import Problem
-from candata.gap.force.mending import CLEARLY, Mended, mended
+from candata.gap.force.remedy import CLEARLY, Mended, mended
 from candata.gap.force.stopgap import Stopgap, stopgap
 from candata.gap.force.suspects import Suspect
 from candata.gap.measure.symptoms import LEVEL, acts_on, slides

@@ -26,8 +26,6 @@ LARGER_PART = 0.5
 #: mass and a solver setting, both near the truth, 0.25 stayed open, most of them in one of 20 episodes, and of the gap
 #: of the others more than this closed; of eight causes in no library none is let through.
 ALL_BUT_A_FEW = 0.9
-#: Fewest episodes on which anything is decided.
-FEWEST = 8
 
 
 def verdict(found: Attribution, size: Gap, measured: Members = ()) -> Verdict:

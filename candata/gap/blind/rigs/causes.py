@@ -1,4 +1,4 @@
-"""Single causes planted in random small scenes by edits of MuJoCo's model, of commands and of readings made here.
+"""Causes of random small scenes: edits of MuJoCo's model, of commands and of readings made here.
 
 Values are drawn from the ranges that the effects of the library state; what they do is written again here, so that a
 mistake in an effect's own hooks shows.

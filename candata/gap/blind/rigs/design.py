@@ -11,7 +11,7 @@ from candata.gap.blind.rigs.hands import Hand, draw_hand
 from candata.gap.blind.rigs.mjcf import scene_xml
 from candata.gap.blind.rigs.servos import Drive
 from candata.gap.blind.rigs.situations import SITUATIONS, Situation, Thing, draw_thing, suits
-from candata.gap.blind.rigs.writing import chance, uniform
+from candata.gap.blind.rigs.text import chance, uniform
 from candata.schema.scene import Noise, SceneFile
 
 TRAITS = ("plain", "cut", "mimic", "filtered", "integrating", "delayed", "spring", "free_base")

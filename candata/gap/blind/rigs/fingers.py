@@ -1,4 +1,4 @@
-"""Fingers of a random small scene, as MJCF text: chains of hinges and slides with position servos."""
+"""Fingers of a random small scene, as MJCF text: chains of links with position servos."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from candata.gap.blind.rigs.links import Links, Place, Shape, drawn_shape, placed_body
 from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Ends, Role, Servo, driven
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 Chain = Literal["hinge", "two_hinges", "slide", "slide_hinge", "plunger", "sweeper"]
 CHAINS: tuple[Chain, ...] = ("hinge", "two_hinges", "slide", "slide_hinge")

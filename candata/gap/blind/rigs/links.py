@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from candata.gap.blind.rigs.servos import GRAVITY_M_S2
-from candata.gap.blind.rigs.writing import tag, uniform
+from candata.gap.blind.rigs.text import tag, uniform
 
 
 class Place(NamedTuple):

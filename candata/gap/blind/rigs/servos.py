@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 Role = Literal["free", "push", "grip", "lift", "press", "carry"]
 GRAVITY_M_S2 = 9.81

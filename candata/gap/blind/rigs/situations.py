@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.writing import chance, uniform
+from candata.gap.blind.rigs.text import chance, uniform
 
 Situation = Literal["none", "rest", "meeting", "pressing", "pushed", "rolling", "pinched", "held", "lifted", "carried"]
 #: How often a situation is drawn. Chosen: objects that nothing touches and objects that are touched about as often.

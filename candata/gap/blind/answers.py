@@ -10,7 +10,7 @@ from candata.effects import effect_names
 from candata.gap.blind.draws import own_values
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import Outcome, text_of
-from candata.gap.blind.running import Place
+from candata.gap.blind.runs import Place
 from candata.scenes import Scene
 from candata.schema.bench import CaseResult, Label, Shares
 from candata.schema.effect import EffectSetting

@@ -1,4 +1,4 @@
-"""The score of a run: every measure beside its target, the misses, the confusion matrix, the calibration curve."""
+"""The score of a run: every measure beside its target, the confusion matrix, the calibration curve."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.gap.blind.cases import hidden_world
-from candata.gap.blind.running import CACHE, Answer, Place, finished, run_case, spread
+from candata.gap.blind.runs import CACHE, Answer, Place, finished, run_case, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.verdict.proposal import PLAYED
 from candata.scenes import Scene, load_scene

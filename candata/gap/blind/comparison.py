@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from candata.errors import UsageError, Where
 from candata.gap.blind.honesty import RESAMPLES
-from candata.gap.blind.running import RESULTS, known
+from candata.gap.blind.runs import RESULTS, known
 from candata.schema.bench import (
     BenchFile,
     CaseResult,

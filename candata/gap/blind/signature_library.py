@@ -16,8 +16,9 @@ from typing import NamedTuple
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, Where
 from candata.gap.blind.nominal_scene import NominalScene
-from candata.gap.blind.running import Place
+from candata.gap.blind.runs import Place
 from candata.gap.data.recordings import Recordings, read
+from candata.gap.fit.folds import FEWEST
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.signature_keys import alike
 from candata.gap.preparation import posed
@@ -25,7 +26,6 @@ from candata.gap.replay.replayer import EffectSet, Replayer
 from candata.gap.replay.starts import Starts, starts
 from candata.gap.screening.demand import Depth, wanted
 from candata.gap.verdict.findings import lasting
-from candata.gap.verdict.verdict import FEWEST
 from candata.scenes.traits import is_toss
 from candata.schema.bench import FilledSignature
 
