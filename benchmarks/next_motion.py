@@ -20,18 +20,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from candata.gap.candidates import Candidate, candidate
-from candata.gap.floor import floor
-from candata.gap.next_motion import all_motions, rivals_of, separating_motion
-from candata.gap.noise import sensor_noise
-from candata.gap.recordings import recordings
-from candata.gap.replay import EffectSet, Replayer, replay_all
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.search import Problem
-from candata.gap.signatures import library
-from candata.gap.starts import starts
-from candata.gap.streams import Streams
+from candata.gap.data.noise import sensor_noise
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import Candidate, candidate
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.signatures import library
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import score
+from candata.gap.replay.replayer import EffectSet, Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
+from candata.gap.run.streams import Streams
+from candata.gap.verdict.next_motion import all_motions, rivals_of, separating_motion
 from candata.policies import Motion
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting

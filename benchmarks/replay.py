@@ -17,9 +17,9 @@ import numpy as np
 from mujoco import rollout
 
 from candata.effects import setting
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, replay
-from candata.gap.starts import starts
+from candata.gap.data.recordings import recordings
+from candata.gap.replay.replayer import Replayer, replay
+from candata.gap.replay.starts import starts
 from candata.scenes import load_scene
 from candata.simulate.episodes import EpisodeJob, make_episodes
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import diagnose
-from candata.gap.blind.filling import Source, keep_signature, planned, source
-from candata.gap.wanted import Depth
+from candata.gap.blind.signature_library import Source, keep_signature, planned, source
+from candata.gap.screening.demand import Depth
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage

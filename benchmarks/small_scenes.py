@@ -20,13 +20,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from candata.gap.blind.cases import CASE, CASES, LABELS, open_labels, read_cases, read_labels, scene_of
+from candata.gap.blind.cases import CASE, CASES, read_cases, scene_of
+from candata.gap.blind.labels import LABELS, open_labels, read_labels
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.rigs.cases import make_rig_case, make_rig_cases, seal_rig_labels
-from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, is_clear
+from candata.gap.blind.rigs.causes import CAUSES
 from candata.gap.blind.rigs.design import ALSO_CUT, TRAITS
+from candata.gap.blind.rigs.planted_world import drawn_cause, is_clear
 from candata.gap.blind.rigs.recording import sane_rig
-from candata.gap.blind.running import Place, run_cases
+from candata.gap.blind.runs import Place, run_cases
 from candata.schema.bench import CaseResult, Label, LabelsFile
 from candata.simulate.crew import Crew, local
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once

@@ -114,7 +114,8 @@ def make(out: Path, request: BenchRequest, crew: Crew) -> None:
 
 def _make_in_one(out: Path, request: BenchRequest, crew: Crew) -> None:
     """Seal the labels of cases in one scene, and make those that are missing."""
-    from candata.gap.blind.cases import make_cases, missing_cases, seal_labels
+    from candata.gap.blind.cases import make_cases, missing_cases
+    from candata.gap.blind.labels import seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
@@ -153,7 +154,8 @@ def _make_in_one(out: Path, request: BenchRequest, crew: Crew) -> None:
 
 def _make_small(out: Path, request: BenchRequest, crew: Crew) -> None:
     """Seal the labels of cases in random small scenes, and make those that are missing."""
-    from candata.gap.blind.cases import LABELS, missing_cases
+    from candata.gap.blind.cases import missing_cases
+    from candata.gap.blind.labels import LABELS
     from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
 
     draws = 0 if (out / LABELS).exists() else sum(request.counts.values())

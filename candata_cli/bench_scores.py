@@ -14,7 +14,7 @@ from candata_cli import console
 
 if TYPE_CHECKING:
     from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import Place
+    from candata.gap.blind.runs import Place
     from candata.schema.bench import BenchFile, CaseResult, FilledSignature, LabelsFile
     from candata.simulate.crew import Crew
 
@@ -43,11 +43,12 @@ class ScoredRun:
 
 def diagnose_and_score(run: ScoredRun, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
-    from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
-    from candata.gap.blind.opening import opened
-    from candata.gap.blind.running import Place, run_cases
-    from candata.gap.blind.running import known as standing_results
-    from candata.gap.blind.scoring import score_run
+    from candata.gap.blind.answers import opened
+    from candata.gap.blind.cases import read_cases, scene_of
+    from candata.gap.blind.labels import open_labels, read_labels
+    from candata.gap.blind.runs import Place, run_cases
+    from candata.gap.blind.runs import known as standing_results
+    from candata.gap.blind.scores import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
 
@@ -84,8 +85,8 @@ def diagnose_and_score(run: ScoredRun, json: bool) -> None:
 
 def _filled_cache(run: ScoredRun, places: Sequence[Place]) -> list[FilledSignature]:
     """Return what has been simulated into the cache that the cases share, after simulating what they will need."""
-    from candata.gap.blind.filling import FILLED, keep_signature, shared_tasks
-    from candata.gap.blind.running import CACHE, finished, spread
+    from candata.gap.blind.runs import CACHE, finished, spread
+    from candata.gap.blind.signature_library import FILLED, keep_signature, shared_tasks
     from candata.schema.bench import FilledSignature
 
     tasks = shared_tasks(places, run.out / CACHE, run.seed)
@@ -126,7 +127,7 @@ def _with_fresh_gaps(run: ScoredRun, places: list[Place], outcomes: list[Outcome
 
 def _followed_outcomes(run: ScoredRun, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:
     """Return the ambiguous cases diagnosed again, with what their reports proposed recorded in their worlds."""
-    from candata.gap.blind.following import follow_up, proposes
+    from candata.gap.blind.follow_up import follow_up, proposes
 
     proposing = [o for o in outcomes if proposes(o.result)]
     if not proposing:
@@ -141,9 +142,9 @@ def _followed_outcomes(run: ScoredRun, places: list[Place], outcomes: list[Outco
 
 def _baseline_scores(run: ScoredRun, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
     """Return the score of the diagnosis and of each baseline on the first cases."""
+    from candata.gap.blind.answers import opened
     from candata.gap.blind.baselines import run_baselines
-    from candata.gap.blind.opening import opened
-    from candata.gap.blind.scoring import score_run
+    from candata.gap.blind.scores import score_run
 
     first_outcomes, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
     labels = {o.label.case: o.label for o in outcomes}

@@ -241,7 +241,7 @@ def _with_model(
 
 def _edit_data(edit: str, edit_scene: str | None, world: Scene, effects: Path | None) -> tuple[Dataset, Scene]:
     """Return recordings of an edit test and their scene; what does not fit is refused before the long work begins."""
-    from candata.gap.edit import readable
+    from candata.gap.verdict.edit_test import readable
 
     scene = _nominal(edit_scene, effects) if edit_scene else world
     dataset = console.open_named(edit)
@@ -255,7 +255,7 @@ def _with_edit_test(
     """Return the diagnosis with its edit test, where it names effects; its report stands already, should this fail."""
     from dataclasses import replace
 
-    from candata.gap.edit import edit_test
+    from candata.gap.verdict.edit_test import edit_test
 
     if not diagnosis.named:
         console.note("no effect is named, so there is nothing to test on --edit")

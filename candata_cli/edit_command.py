@@ -35,7 +35,7 @@ def edit_test(
     closed in the diagnosis (report.json beside --effects; without one, of the whole gap).
     """
     from candata.effects import read_effects, scene_of
-    from candata.gap.edit import edit_test as run
+    from candata.gap.verdict.edit_test import edit_test as run
     from candata.reports.words import edit_words
     from candata.scenes import load_scene
 

@@ -129,7 +129,8 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    from candata.gap.blind.cases import CASES, LABELS, TRAINING_SALT
+    from candata.gap.blind.cases import CASES
+    from candata.gap.blind.labels import LABELS, TRAINING_SALT
     from candata.simulate.cluster import crew_of
 
     folder = _case_folder(out, keep)
@@ -232,7 +233,8 @@ def _cases_and_labels(cases: Path, labels: Path | None) -> tuple[Path, Path]:
         When no labels are given, and none are there.
     """
     from candata.errors import UsageError, Where
-    from candata.gap.blind.cases import CASES, LABELS
+    from candata.gap.blind.cases import CASES
+    from candata.gap.blind.labels import LABELS
 
     if labels is not None:
         return cases, labels
@@ -256,7 +258,7 @@ def bench_lock(out: Path) -> AbstractContextManager[None]:
 def _kept_text(folder: Path, out: Path | None) -> str:
     """Return what stands of a run, as a clause: cases in `folder`, results in `out`."""
     from candata.gap.blind.cases import CASE, CASES
-    from candata.gap.blind.running import known as standing_results
+    from candata.gap.blind.runs import known as standing_results
 
     case_count = len(list((folder / CASES).glob(f"[!.]*/{CASE}")))
     cases = f"{case_count} cases" if case_count or out is None else ""

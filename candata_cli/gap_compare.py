@@ -35,7 +35,7 @@ def compare(
 
     p is McNemar's exact p of the cases in which one alone is right. Scores of support are 0 at best.
     """
-    from candata.gap.blind.comparing import compare_runs
+    from candata.gap.blind.comparison import compare_runs
 
     comparison = compare_runs(first_run, second_run)
     if json:

@@ -47,7 +47,8 @@ def real(
 ) -> None:
     """Diagnose what changed between all pairs of settings, and score the answers by the labels: misses first."""
     check_output(out, "folder")
-    from candata.gap.blind.labelled import pairs_of, read_labelled, run_pairs, score_pairs
+    from candata.gap.blind.labelled_set import pairs_of, read_labelled
+    from candata.gap.blind.setting_pairs import run_pairs, score_pairs
     from candata.reports.bench import bench_text, write_bench
     from candata.simulate.crew import local
 

@@ -50,7 +50,7 @@ def signatures(
     those of tracker biases and joint offsets, which follow from where each recording starts. An interrupted run goes on
     where it was. Without it a diagnosis simulates effects on its own recording; the last digits, and ties, may differ.
     """
-    from candata.gap.blind.filling import keep_signature, planned, source
+    from candata.gap.blind.signature_library import keep_signature, planned, source
     from candata.simulate.cluster import crew_of
     from candata.user_folders import user_cache
 

@@ -236,7 +236,7 @@ def prepare() -> list[int]:
     import numpy as np
 
     from candata.datasets import append, create_dataset, open_dataset, put_cloud
-    from candata.gap.blind.cases import seal_labels
+    from candata.gap.blind.labels import seal_labels
     from candata.scenes import load_scene
     from candata.schema.episode import Episode, EpisodeMeta
     from candata.schema.manifest import Lineage

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from candata.checks._finding import Finding, Rule
 from candata.checks._view import EpisodeView
-from candata.gap.spikes import JOINT_LEAST, spike_rows
+from candata.gap.data.faults import JOINT_LEAST, spike_rows
 
 REMEDY = "mark these rows invalid (NaN in the table, then --allow-gaps), and look at the encoder's wire and bus"
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from candata.checks._finding import Finding, Rule
 from candata.checks._view import EpisodeView
-from candata.gap.spikes import lost_rows
+from candata.gap.data.faults import lost_rows
 from candata.schema.channels import QUATERNION
 
 REMEDY = "mark these rows invalid: NaN in their place before the import, then --allow-gaps"

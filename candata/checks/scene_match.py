@@ -9,10 +9,11 @@ import numpy as np
 from candata.checks._finding import Finding, Level, Rule
 from candata.checks._view import EpisodeView
 from candata.errors import CandataError, DataError, RateError
-from candata.gap.finding import RecordingMismatch
-from candata.gap.mismatch import compared
-from candata.gap.recordings import Recordings, fault_of, recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.faults import fault_of
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.mismatch.check import compared
+from candata.gap.mismatch.recording_mismatch import RecordingMismatch
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 

@@ -19,10 +19,11 @@ Readings = dict[str, Array]
 
 #: What other rooms ask of an effect. `simulator`: it changes how the simulation computes, not the world. `solver`: the
 #: bench hides it as a mismatch of the solver. `one_for_all`: its one number for all joints is never just a little
-#: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them (`gap/rest_scale.py` reads them off
-#: tosses). `contact_spring`: it is one of the two numbers of the spring and damper of contacts, stiffness
-#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref"). `reading_noise`: a diagnosis counts
-#: what it does as noise of the sensor (`gap/noise.py`), so that it is never a candidate of a search, and never drawn.
+#: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them
+#: (`gap/fit/length_scale.py` reads them off tosses). `contact_spring`: it is one of the two numbers of the spring
+#: and damper of contacts, stiffness 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref").
+#: `reading_noise`: a diagnosis counts what it does as noise of the sensor (`gap/data/noise.py`), so that it is never a
+#: candidate of a search, and never drawn.
 Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring", "reading_noise"]
 
 #: Units of joints that turn, to those of joints that slide.

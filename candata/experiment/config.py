@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from candata.errors import UnknownNameError, UsageError, Where
-from candata.gap.blind.outside import CAUSES
+from candata.gap.blind.outside_causes import CAUSES
 from candata.models import MODELS
 from candata.scenes.object_folder import listed_objects
 from candata.schema.record import Record

@@ -110,7 +110,8 @@ class Resampling:
 def excess(scores: RowScores, floor: RowScores | None) -> float | None:
     """Return the closed-loop error over that of the floor: the mean over position and rotation, 1 at the floor.
 
-    As `candata.gap.score.Score.size` has it for a diagnosis: a ratio for each quantity, then the mean over quantities.
+    As `candata.gap.measure.score.Score.size` has it for a diagnosis: a ratio for each quantity, then the mean over
+    quantities.
     """
     if floor is None:
         return None

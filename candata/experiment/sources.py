@@ -18,8 +18,7 @@ from candata.effects import read_randomisation
 from candata.errors import DataError, UsageError, Where
 from candata.experiment.config import SealedWorld
 from candata.gap.blind.cases import hidden_world
-from candata.gap.blind.draws import background
-from candata.gap.blind.outside import draw_outside
+from candata.gap.blind.draws import background, draw_outside
 from candata.loaders import find_split, make_split, save_split
 from candata.loaders.splits import DEFAULT
 from candata.scenes import Scene, load_scene

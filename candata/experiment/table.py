@@ -13,7 +13,7 @@ from candata.experiment.paper import paper_figures
 from candata.experiment.plan import Entry, Plan
 from candata.experiment.results import Answer, ColumnFacts, ExperimentTable, RepairFacts, Row, Value
 from candata.experiment.scores import Resampling, RowScores, excess, row_scores
-from candata.gap.verdict import EXPLAINED
+from candata.gap.verdict.verdict import EXPLAINED
 from candata.schema.json_text import read_json
 from candata.training.pairs import LEAST_TRAJECTORIES
 from candata.training.results import REPAIRED, SIMULATOR, Evaluation

@@ -8,8 +8,8 @@ import numpy as np
 
 from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
-from candata.gap.recordings import recordings
-from candata.gap.starts import starts as estimated_starts
+from candata.gap.data.recordings import recordings
+from candata.gap.replay.starts import starts as estimated_starts
 from candata.policy_evaluation.contract import RealStarts
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss

@@ -16,9 +16,9 @@ from candata.datasets import Dataset
 from candata.datasets.drafts import place
 from candata.effects import effect
 from candata.errors import DataError, Where
-from candata.gap.memory import ACT
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.starts import Starts, starts
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.replay.memory import ACT
+from candata.gap.replay.starts import Starts, starts
 from candata.repair.affine import FreeParameter, free_parameters
 from candata.repair.copies import Copy, copy_scene
 from candata.repair.mjcf import Change, apply_effects, fresh_folder

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from candata.effects import EFFECTS, effect, effect_names
-from candata.gap.verdict import FEWEST
+from candata.gap.fit.folds import FEWEST
 from candata.reports import words
 from candata.reports.numbers import digits, format_estimate, unit_of
 from candata.schema.report import Estimate, NamedEffect, Report

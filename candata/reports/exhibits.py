@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from candata.gap.evidence import Course, Element, Elements, HeatMap
+from candata.gap.measure.symptoms import HeatMap
+from candata.gap.verdict.figures import Course, Element, Elements
 from candata.reports import words
 from candata.reports.chart import Axis, chart, dots, floats, join_markup, line, linear_axis
 from candata.reports.document import render

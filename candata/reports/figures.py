@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from candata.gap.evidence import EpisodeLosses, Range, Trace
+from candata.gap.verdict.figures import EpisodeLosses, Range, Trace
 from candata.reports import words
 from candata.reports.chart import (
     Axis,

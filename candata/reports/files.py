@@ -9,7 +9,7 @@ import yaml
 
 from candata.datasets.writing import write_text
 from candata.gap import Diagnosis
-from candata.gap.proposal import MOTION_FILE
+from candata.gap.verdict.proposal import MOTION_FILE
 from candata.policies import write_motions
 from candata.reports.advice import EFFECTS_FILE, ReportContext
 from candata.reports.mjcf_lines import mjcf_lines

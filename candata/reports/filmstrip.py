@@ -7,7 +7,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from candata.gap.evidence import Example
+from candata.gap.verdict.figures import Example
 from candata.reports.document import render
 from candata.reports.ghost import Ghost
 from candata.reports.png import data_uri

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from candata.gap.evidence import Collinearity, HeatMap
+from candata.gap.measure.symptoms import HeatMap
+from candata.gap.verdict.figures import Collinearity
 from candata.reports import words
 from candata.reports.document import render
 from candata.reports.numbers import digits

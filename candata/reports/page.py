@@ -9,7 +9,7 @@ import mujoco
 from markupsafe import Markup
 
 from candata.datasets.writing import write_text
-from candata.gap.evidence import Evidence, Example
+from candata.gap.verdict.figures import Evidence, Example
 from candata.reports import advice, exhibits, figures, heat, outcome, tables, words
 from candata.reports.advice import ReportContext
 from candata.reports.document import render_page

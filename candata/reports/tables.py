@@ -8,7 +8,7 @@ from typing import get_args
 
 from markupsafe import Markup
 
-from candata.gap.evidence import Range
+from candata.gap.verdict.figures import Range
 from candata.reports import advice, figures, words
 from candata.reports.numbers import digits, format_estimate, percent, unit_of
 from candata.reports.outcome import explain

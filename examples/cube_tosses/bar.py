@@ -17,11 +17,11 @@ from compare import PUBLISHED, SCENE, TARGET, WIDTH_M
 from scipy.optimize import minimize
 
 from candata.datasets import open_dataset
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.rest_scale import length_scale
-from candata.gap.starts import Starts, starts
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.fit.length_scale import length_scale
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.starts import Starts, starts
+from candata.gap.run.streams import Streams
 from candata.rotation import difference
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting

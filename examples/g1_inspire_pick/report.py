@@ -18,7 +18,7 @@ import numpy as np
 from servo_response import ServoResponse, servo_responses
 
 from candata.datasets import open_dataset
-from candata.gap.recordings import recordings
+from candata.gap.data.recordings import recordings
 from candata.scenes import load_scene
 
 #: Share of the movement foretold below which a lag and a gain are poor names for what a joint does.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from candata.errors import DataError
-from candata.gap.recordings import Recordings
+from candata.gap.data.recordings import Recordings
 from candata.scenes import Scene
 from candata.statistics import resamples
 

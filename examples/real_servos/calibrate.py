@@ -10,8 +10,8 @@ from pathlib import Path
 
 from candata.datasets import open_dataset
 from candata.datasets.writing import write_text
-from candata.gap.conclusion import simulator
 from candata.gap.diagnosis import near_reference
+from candata.gap.verdict.findings import simulator
 from candata.scenes import load_scene
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
 from candata.effects import read_effects
-from candata.gap.recordings import Recordings, read
-from candata.gap.starts import starts
+from candata.gap.data.recordings import Recordings, read
+from candata.gap.replay.starts import starts
 from candata.scenes import Scene, load_scene
 from candata.simulate import rollout, with_effects
 

@@ -11,7 +11,10 @@ import pytest
 from tests.architecture.test_layers import LIBRARY, ROOT, modules_imported
 
 #: Modules of the diagnosis whose circles still stand.
-STANDING = {f"candata.gap.{name}" for name in ("compare", "local", "refine", "screen", "search", "shortlist", "stage")}
+STANDING = {
+    *(f"candata.gap.fit.{name}" for name in ("comparison", "problem")),
+    *(f"candata.gap.screening.{name}" for name in ("elements", "look", "refinement", "shortlist", "signature_screen")),
+}
 
 
 def imports() -> dict[str, set[str]]:

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from candata.datasets import open_dataset
-from candata.gap.blind import running
+from candata.gap.blind import runs
 from candata.gap.blind.baselines import BASELINES
 from candata.gap.blind.cases import read_cases
 from candata.gap.blind.draws import NOISES
-from candata.gap.blind.running import Answer
+from candata.gap.blind.runs import Answer
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
@@ -30,7 +30,7 @@ def quiet(monkeypatch):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
         return Answer(Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts)), 3.0)
 
-    monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
+    monkeypatch.setitem(runs.run_cases.__kwdefaults__, "judge", nothing)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from candata.gap import kept
+from candata.gap.run import cache as kept
 from tests.cli.command import run
 
 pytestmark = pytest.mark.hard

@@ -11,8 +11,8 @@ import yaml
 
 import candata.gap
 from candata.datasets import open_dataset
-from candata.gap.conclusion import Diagnosis
-from candata.gap.evidence import Evidence
+from candata.gap.verdict.figures import Evidence
+from candata.gap.verdict.findings import Diagnosis
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Gap, Report

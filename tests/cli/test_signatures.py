@@ -7,7 +7,7 @@ import json
 import pytest
 
 from candata.errors import UsageError
-from candata.gap.blind import cases, filling, running
+from candata.gap.blind import labels, runs, signature_library
 from candata.schema.bench import BenchFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from tests.cli.command import run
@@ -73,13 +73,13 @@ def test_a_bench_first_keeps_what_its_cases_share_and_tells_the_cost(tmp_path, m
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
         report = Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
-        return running.Answer(report)
+        return runs.Answer(report)
 
-    monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
+    monkeypatch.setitem(runs.run_cases.__kwdefaults__, "judge", nothing)
     # The secret is fixed: some draws give two nulls that start apart and share no signatures.
-    monkeypatch.setattr(cases, "new_salt", lambda: "0" * 64)
-    every = filling.wanted
-    monkeypatch.setattr(filling, "wanted", lambda problem, depth: every(problem, depth)[:3])
+    monkeypatch.setattr(labels, "new_salt", lambda: "0" * 64)
+    every = signature_library.wanted
+    monkeypatch.setattr(signature_library, "wanted", lambda problem, depth: every(problem, depth)[:3])
     line = (
         "gap",
         "bench",
@@ -100,7 +100,7 @@ def test_a_bench_first_keeps_what_its_cases_share_and_tells_the_cost(tmp_path, m
     done = run(*line)
     assert done.code == 0
     assert done.err.index("simulating effects for all cases: 3 done") < done.err.index("1 of 2: case-0001")
-    assert len((tmp_path / filling.FILLED).read_text().splitlines()) == 3
+    assert len((tmp_path / signature_library.FILLED).read_text().splitlines()) == 3
     found = BenchFile.model_validate_json((tmp_path / "bench.json").read_text())
     assert [r.n for r in found.rows if r.measure.startswith("CPU s of the signatures kept before")] == [3]
     assert [r.n for r in found.rows if r.measure.startswith("CPU s of a first case")] == [1]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from candata.effects._contact import time_form
-from candata.gap.replay import sense
+from candata.gap.replay.replayer import sense
 from candata.rotation import difference
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting

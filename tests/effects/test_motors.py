@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from candata.effects import _motor, _select, effect
-from candata.gap.lagged import drives
+from candata.gap.data.lag import drives
 from candata.policies._drive import servos
 from candata.repair import export_mjcf
 from candata.scenes import load_scene, motors

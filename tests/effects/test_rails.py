@@ -8,7 +8,7 @@ import pytest
 from candata.effects import _select as select
 from candata.effects import effect, flatten, parameters_on, rail_units, setting
 from candata.errors import UnknownNameError, UsageError
-from candata.gap.candidates import candidate, is_on_slides, local_candidates, probes
+from candata.gap.fit.candidates import candidate, is_on_slides, local_candidates, probes
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout

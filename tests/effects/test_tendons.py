@@ -7,7 +7,7 @@ import pytest
 
 from candata.effects import _select as select
 from candata.effects import effect, flatten, setting
-from candata.gap.candidates import candidate, local_candidates
+from candata.gap.fit.candidates import candidate, local_candidates
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
 from candata.simulate.world import build_worlds

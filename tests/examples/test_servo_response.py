@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap.recordings import Recordings
+from candata.gap.data.recordings import Recordings
 from candata.scenes import load_scene
 from candata.scenes.servo import write_servo_scene
 from candata.schema.effect import EffectSetting

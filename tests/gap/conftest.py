@@ -10,18 +10,19 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import Diagnosis, diagnose
-from candata.gap.candidates import candidate, candidates
-from candata.gap.diagnosis import _problem
-from candata.gap.floor import Floor
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.refine import joint
-from candata.gap.replay import Replayer
-from candata.gap.residuals import Layout
-from candata.gap.score import Score, score
-from candata.gap.search import Fit, Members, Problem
-from candata.gap.stage import as_simulated, look
-from candata.gap.streams import Streams
-from candata.gap.together import Responses
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.fit.candidates import candidate, candidates
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
+from candata.gap.measure.floor import Floor
+from candata.gap.measure.score import Score, score
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.replay.residuals import Layout
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import as_simulated, look
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.sums import Responses
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from candata.effects import effect, effect_names, setting
-from candata.gap.mismatch import mismatch
-from candata.gap.mismatch_sensors import tips
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.mismatch.check import mismatch
+from candata.gap.mismatch.sensors import tips
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 from candata.simulate.seal import draw_parameter

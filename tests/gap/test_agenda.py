@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.agenda import ROUNDS, aliases, begun, search
-from candata.gap.candidates import candidate
-from candata.gap.refine import joint
+from candata.gap.fit.candidates import candidate
+from candata.gap.screening.refinement import joint
+from candata.gap.search.agenda import ROUNDS, aliases, begun, search
 from tests.gap.conftest import fitted, members, plant
 
 DRY, DELAY = "joint_dry_friction", "actuation_delay"

@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import attribute
-from candata.gap.candidates import candidate
-from candata.gap.compare import error_within, standard_error
-from candata.gap.folds import CrossFit
-from candata.gap.search import Fit
-from candata.gap.stage import STEADY, Stage
-from candata.gap.worth import LARGEST, is_full
+from candata.gap.fit.acceptance import LARGEST, is_full
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.comparison import error_within, standard_error
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.stage import STEADY, Stage
+from candata.gap.search import attribution
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])
@@ -74,10 +74,10 @@ def test_what_is_not_plain_within_the_nulls_range_counts_if_it_is_when_sharp(
         calls.append(fit)
         return replace(fit, evidence=replace(fit.evidence, gain=fit.evidence.gain + sharp))
 
-    monkeypatch.setattr(attribute, "polished", polished)
+    monkeypatch.setattr(attribution, "polished", polished)
     assert some.passing() is blunt
     assert not some.is_plain(blunt, TASKS)
-    first, best = attribute._counting(SimpleNamespace(recs=SimpleNamespace(tasks=TASKS)), some, remains)
+    first, best = attribution._counting(SimpleNamespace(recs=SimpleNamespace(tasks=TASKS)), some, remains)
     assert (best is not None, len(calls)) == (counts, asked)
     assert first.fits[0] is best or best is None
 

@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import attribute, averaged, diagnosis
-from candata.gap.averaged import Averaged, faint, placed
-from candata.gap.candidates import candidate, local_candidates
-from candata.gap.diagnosis import _problem
-from candata.gap.folds import CrossFit
-from candata.gap.pace import Pace
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.screen import respond
-from candata.gap.search import Fit
-from candata.gap.shortlist import brief
-from candata.gap.stage import Stage
-from candata.gap.streams import Streams
+from candata.gap import diagnosis
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.stage import Stage
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.pace import Pace
+from candata.gap.run.streams import Streams
+from candata.gap.screening.shortlist import brief
+from candata.gap.screening.signature_screen import respond
+from candata.gap.search import attribution, replay_means
+from candata.gap.search.replay_means import Averaged, faint, placed
 from candata.scenes import load_scene
 
 #: The fault that one replay hides: one fingertip's rolling friction [m], at a place of the range it is drawn from.
@@ -67,19 +68,21 @@ def null(posed):
 
 def test_a_fault_of_one_fingertip_that_one_replay_hides_is_found_there(hidden, shown):
     _, first = hidden
-    assert first.base.mean() - 1 < attribute.HIDDEN, "a gap as small as nulls have"
+    assert first.base.mean() - 1 < attribution.HIDDEN, "a gap as small as nulls have"
     (fit, many), said = shown
     assert said == ["looking for what contact hides, in the mean over many replays"]
     assert fit.labels == (f"rolling_friction {TIP}",)
     assert np.exp(fit.members[0][1][0]) == pytest.approx(ROLLING_M, rel=0.5)
-    assert fit.gain > averaged.NAMED
-    before, after = averaged.sizes_in_mean(many, fit)
+    assert fit.gain > replay_means.NAMED
+    before, after = replay_means.sizes_in_mean(many, fit)
     assert after.mean() < before.mean()
 
 
 def test_of_a_null_world_nothing_is_named(null):
     problem, first = null
-    assert len(averaged._quiet(problem, first)) >= 7, "each fingertip's rolling and torsional friction, and the table's"
+    assert len(replay_means._quiet(problem, first)) >= 7, (
+        "each fingertip's rolling and torsional friction, and the table's"
+    )
     assert faint(problem, first) is None
 
 
@@ -111,7 +114,7 @@ def test_worlds_follow_the_same_noise_and_are_played_once(null, monkeypatch):
     assert not np.array_equal(Averaged(replace(problem, streams=Streams(4))).losses([None], 2), twice[:1])
     each = [many.losses([None], k + 1, k)[0] for k in range(2)]
     assert twice[0] == pytest.approx(np.mean(each, axis=0))
-    monkeypatch.setattr(averaged, "replay_all", lambda *a: pytest.fail("played again"))
+    monkeypatch.setattr(replay_means, "replay_all", lambda *a: pytest.fail("played again"))
     many.losses([None], 2)
 
 
@@ -120,7 +123,7 @@ def test_noise_is_laid_over_what_is_followed_alone(null):
     joints = problem.recs.readings["joint_position"].copy()
     joints[0, 3] = np.nan
     recs = replace(problem.recs, readings=problem.recs.readings | {"joint_position": joints})
-    noisy = averaged._jittered(recs, problem.noise, np.random.default_rng(0)).readings
+    noisy = replay_means._jittered(recs, problem.noise, np.random.default_rng(0)).readings
     joints = noisy["joint_position"] - recs.readings["joint_position"]
     assert np.isnan(noisy["joint_position"][0, 3]).all()
     assert np.nanstd(joints) == pytest.approx(problem.noise.joint_position, rel=0.05)
@@ -129,7 +132,7 @@ def test_noise_is_laid_over_what_is_followed_alone(null):
     assert np.linalg.norm(noisy["object_pose"][..., 3:], axis=-1) == pytest.approx(1.0)
     assert noisy["fingertip_force"] is recs.readings["fingertip_force"]
     arm = replace(recs, readings={"joint_position": recs.readings["joint_position"]})
-    assert set(averaged._jittered(arm, problem.noise, np.random.default_rng(0)).readings) == {"joint_position"}
+    assert set(replay_means._jittered(arm, problem.noise, np.random.default_rng(0)).readings) == {"joint_position"}
 
 
 class Told:
@@ -155,7 +158,7 @@ def test_what_chose_a_value_does_not_decide(null, gripper):
     tips = {v.element: v for v in local_candidates(candidate("rolling_friction", gripper), gripper)}
     many = Told(problem, {"left_tip": (0.06, 0.01), "right_tip": (0.05, 0.04), "thumb_tip": (-0.05, 0.9)})
     points = [(tips[e], np.log([0.0025])) for e in many.gains]
-    fits = averaged._compared(many, points)
+    fits = replay_means._compared(many, points)
     assert [f.labels for f in fits] == [("rolling_friction right_tip",), ("rolling_friction left_tip",)]
     assert fits[0].gain == pytest.approx(0.04, abs=1e-3)
     assert np.exp(fits[0].members[0][1][0]) == pytest.approx(0.003, rel=0.02), "where the parabola is least"
@@ -164,8 +167,8 @@ def test_what_chose_a_value_does_not_decide(null, gripper):
 def test_where_nothing_gains_nothing_is_compared(null, gripper):
     problem, _ = null
     tips = [v for v in local_candidates(candidate("rolling_friction", gripper), gripper) if v.element == TIP]
-    assert averaged._compared(Told(problem, {TIP: (0.0, 0.5)}), [(tips[0], np.log([0.003]))]) == []
-    assert averaged._compared(Told(problem, {}), []) == []
+    assert replay_means._compared(Told(problem, {TIP: (0.0, 0.5)}), [(tips[0], np.log([0.003]))]) == []
+    assert replay_means._compared(Told(problem, {}), []) == []
 
 
 def told(problem, gripper, label, losses):
@@ -188,11 +191,11 @@ def replays(null):
 )
 def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, replays, gripper, monkeypatch, more, found):
     problem, _ = null
-    monkeypatch.setattr(averaged, "Averaged", lambda problem: replays)
+    monkeypatch.setattr(replay_means, "Averaged", lambda problem: replays)
     spread = 0.01 * np.random.default_rng(0).standard_normal(20)
     whole = told(problem, gripper, "torsional_friction", 1.05 + spread)
     tip = told(problem, gripper, "torsional_friction left_tip", 1.05 - more - spread)
-    monkeypatch.setattr(averaged, "_compared", lambda many, points: sorted((whole, tip), key=lambda f: -f.gain))
+    monkeypatch.setattr(replay_means, "_compared", lambda many, points: sorted((whole, tip), key=lambda f: -f.gain))
     shown = placed(problem, whole)
     assert (shown is not None) == found
     if shown:
@@ -202,7 +205,7 @@ def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, replays,
 def test_an_effect_of_a_group_is_compared_with_all_and_with_each_element(null, gripper, monkeypatch):
     problem, _ = null
     asked = []
-    monkeypatch.setattr(averaged, "_compared", lambda many, points: asked.extend(points) or [])
+    monkeypatch.setattr(replay_means, "_compared", lambda many, points: asked.extend(points) or [])
     assert placed(problem, told(problem, gripper, "torque_limit right", np.ones(20)))[0] is None, "nothing gains"
     labels = [c.label for c, _ in asked]
     assert {"torque_limit", "torque_limit right", "torque_limit right_base", "torque_limit left_base"} <= set(labels)
@@ -212,7 +215,7 @@ def test_an_effect_of_a_group_is_compared_with_all_and_with_each_element(null, g
 @pytest.mark.parametrize("label", ["object_inertia", "tactile_dead_band", "friction_cone", "joint_offset"])
 def test_what_has_no_elements_or_needs_no_simulation_or_has_many_numbers_stays(null, gripper, monkeypatch, label):
     problem, _ = null
-    monkeypatch.setattr(averaged, "_compared", lambda *a: pytest.fail("compared"))
+    monkeypatch.setattr(replay_means, "_compared", lambda *a: pytest.fail("compared"))
     assert placed(problem, told(problem, gripper, label, np.ones(20))) is None
 
 
@@ -235,9 +238,9 @@ def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chos
     better = told(problem, gripper, "torsional_friction left_tip", np.full(20, 1.0))
     called = []
     for name in ("faint", "placed"):
-        monkeypatch.setattr(attribute, name, lambda *a, name=name: called.append(name) or (better, "many"))
-    found = attribute._in_mean(
-        problem, attribute.Attribution(first, fit, (fit,) if fit else (), problem.score, remains)
+        monkeypatch.setattr(attribution, name, lambda *a, name=name: called.append(name) or (better, "many"))
+    found = attribution._in_mean(
+        problem, attribution.Attribution(first, fit, (fit,) if fit else (), problem.score, remains)
     )
     assert called == ([asked] if asked else [])
     if asked:
@@ -253,11 +256,11 @@ def test_the_mean_is_asked_of_what_other_elements_explain_as_well(null, gripper,
     spread = 0.1 * np.random.default_rng(0).standard_normal(20)
     whole = told(problem, gripper, "torsional_friction", 0.6 + spread)
     tip = told(problem, gripper, "torsional_friction left_tip", other - spread)
-    assert whole.gain > attribute.UNPLACED
+    assert whole.gain > attribution.UNPLACED
     called = []
-    monkeypatch.setattr(attribute, "placed", lambda *a: called.append(a))
-    found = attribute.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
-    assert attribute._in_mean(problem, found) is None
+    monkeypatch.setattr(attribution, "placed", lambda *a: called.append(a))
+    found = attribution.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
+    assert attribution._in_mean(problem, found) is None
     assert bool(called) == asked
 
 
@@ -265,9 +268,9 @@ def test_the_mean_is_asked_of_what_other_elements_explain_as_well(null, gripper,
 def test_what_gains_nothing_in_the_mean_is_luck_where_nulls_have_as_much(null, gripper, monkeypatch, base, stays):
     problem, first = null
     whole = told(problem, gripper, "torsional_friction", np.full(20, 1.05))
-    monkeypatch.setattr(attribute, "placed", lambda *a: (None, "many"))
+    monkeypatch.setattr(attribution, "placed", lambda *a: (None, "many"))
     first = replace(first, base=np.full(20, base), fits=(whole,))
-    shown = attribute._in_mean(problem, attribute.Attribution(first, whole, (whole,), problem.score, False))
+    shown = attribution._in_mean(problem, attribution.Attribution(first, whole, (whole,), problem.score, False))
     assert (shown is None) == stays
     if shown:
         assert (shown.chosen, shown.tied, shown.remains, shown.first) == (None, (), False, first)
@@ -278,11 +281,13 @@ def test_what_one_replay_shows_has_its_value_from_that(null, gripper, monkeypatc
     labels = ("torsional_friction", "torsional_friction left_tip")
     whole, tip = (told(problem, gripper, label, np.full(20, 0.9)) for label in labels)
     sharp = told(problem, gripper, labels[1], np.full(20, 0.7))
-    monkeypatch.setattr(attribute, "placed", lambda *a: (told(problem, gripper, labels[1], np.ones(20)), "many"))
-    monkeypatch.setattr(attribute, "polished", lambda problem, fit, base: sharp if fit is tip else pytest.fail("other"))
-    monkeypatch.setattr(attribute, "judged", lambda problem, fit: (fit, problem, True))
-    found = attribute.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
-    shown = attribute._in_mean(problem, found)
+    monkeypatch.setattr(attribution, "placed", lambda *a: (told(problem, gripper, labels[1], np.ones(20)), "many"))
+    monkeypatch.setattr(
+        attribution, "polished", lambda problem, fit, base: sharp if fit is tip else pytest.fail("other")
+    )
+    monkeypatch.setattr(attribution, "judged", lambda problem, fit: (fit, problem, True))
+    found = attribution.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
+    shown = attribution._in_mean(problem, found)
     assert (shown.chosen, shown.tied, shown.mean, shown.remains) == (sharp, (sharp,), None, True)
     assert shown.first.fits == (sharp, whole)
 
@@ -290,12 +295,12 @@ def test_what_one_replay_shows_has_its_value_from_that(null, gripper, monkeypatc
 @pytest.mark.parametrize(("force", "toss"), [(None, False), ("a pull", False), (None, True)])
 def test_the_mean_is_not_asked_after_a_force_or_of_tosses(null, monkeypatch, force, toss):
     problem, first = null
-    found = attribute.Attribution(first, None, (), problem.score, False, force=force)
+    found = attribution.Attribution(first, None, (), problem.score, False, force=force)
     better = replace(found, mean="many")
-    monkeypatch.setattr(attribute, "is_toss", lambda scene: toss)
-    monkeypatch.setattr(attribute, "_attributed", lambda *a: found)
-    monkeypatch.setattr(attribute, "_in_mean", lambda *a: better)
-    assert (attribute.attribute(problem).mean == "many") == (force is None and not toss)
+    monkeypatch.setattr(attribution, "is_toss", lambda scene: toss)
+    monkeypatch.setattr(attribution, "_attributed", lambda *a: found)
+    monkeypatch.setattr(attribution, "_in_mean", lambda *a: better)
+    assert (attribution.attribute(problem).mean == "many") == (force is None and not toss)
 
 
 def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, shown, gripper, played, planted, judge, monkeypatch):
@@ -303,10 +308,10 @@ def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, shown, gripper,
     (_, first), (in_mean, _) = hidden, shown
 
     def search(problem):
-        found = attribute.Attribution(first, None, (), problem.score, False)
-        return attribute._in_mean(problem, found)
+        found = attribution.Attribution(first, None, (), problem.score, False)
+        return attribution._in_mean(problem, found)
 
-    monkeypatch.setattr(attribute, "faint", lambda *a: in_mean)
+    monkeypatch.setattr(attribution, "faint", lambda *a: in_mean)
     monkeypatch.setattr(diagnosis, "attribute", search)
     monkeypatch.setattr(diagnosis, "sizes_in_mean", lambda *a: (np.full(20, 1.05), np.full(20, 1.0)))
     effects = planted("rolling_friction", TIP, rolling_m=ROLLING_M)
@@ -319,7 +324,7 @@ def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, shown, gripper,
 def test_a_dataset_without_a_faint_effect_keeps_its_notes(null, gripper, played, judge, monkeypatch):
     _, first = null
     monkeypatch.setattr(
-        diagnosis, "attribute", lambda problem: attribute.Attribution(first, None, (), problem.score, False)
+        diagnosis, "attribute", lambda problem: attribution.Attribution(first, None, (), problem.score, False)
     )
     report = judge(gripper, played(gripper, count=20, duration_s=2.4)).report
     assert report.verdict == "no_gap"

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from candata.gap import refine
-from candata.gap import replay as replays
-from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, needs_simulation, replay
-from candata.gap.screen import respond, screening
-from candata.gap.signatures import Library
-from candata.gap.streams import Streams
-from candata.gap.wanted import wanted
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.signatures import Library
+from candata.gap.preparation import _problem
+from candata.gap.replay import replayer as replays
+from candata.gap.replay.replayer import Replayer, needs_simulation, replay
+from candata.gap.run.streams import Streams
+from candata.gap.screening import refinement, set_slopes
+from candata.gap.screening.demand import wanted
+from candata.gap.screening.signature_screen import respond, screening
 from tests.effects.gripper import ROLES, write_scene
 
 NOISE = "noise: {object_pose: [0.0005, 0.004], joint_position: 0.001, fingertip_force: 0.02}\n"
@@ -53,13 +53,13 @@ def test_numbers_that_alter_forces_as_they_are_read_share_one_simulation(slipper
     problem, scene = slippery, slippery.replayer.scene
     mass, bias = candidate("object_mass", scene), candidate("tactile_bias", scene)
     members = ((mass, np.log([1.2])), (bias, np.full(bias.size, 0.02)))
-    world = partial(refine.divided, members)
+    world = partial(refinement.divided, members)
     z = problem.residuals([problem.setting(members)])[0]
-    known = refine.slopes_of(problem, members, world, z)
+    known = refinement.slopes_of(problem, members, world, z)
     simulated = []
     monkeypatch.setattr(replays, "replay", lambda *a, **k: simulated.append(len(a[3])) or once(*a, **k))
     once = replay
-    slope = refine._differences(problem, members, world, z, 0.5, known)
+    slope = set_slopes.differences(problem, members, world, z, 0.5, known)
     assert simulated == [2], "one for the mass, one for all of the bias"
     assert slope[1:] == pytest.approx(known[1:], abs=0.01 * float(np.abs(known[1:]).max()))
 

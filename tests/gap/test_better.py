@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import conclusion, unknown
+from candata.gap.verdict import conclusion, unknown_cause
 from candata.schema.report import Gap
 
 
@@ -22,10 +22,10 @@ def found(monkeypatch):
             seen.append((force, world, nearest))
             return SimpleNamespace(unknown=SimpleNamespace(closable=closable))
 
-        monkeypatch.setattr(unknown, "described", described)
+        monkeypatch.setattr(unknown_cause, "described", described)
         size = Gap(before=before, after=before - (before - 1) * closed, closed=closed)
         force = None if closable is None else "a force"
-        return unknown.unseating(lambda: force, size, (), "joint_offset ring1"), seen
+        return unknown_cause.unseating(lambda: force, size, (), "joint_offset ring1"), seen
 
     return ask
 
@@ -71,7 +71,7 @@ def test_nor_is_what_leaves_little_of_a_small_gap(found, closed):
 )
 def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word, asked):
     monkeypatch.setattr(conclusion, "unseating", lambda force, size, where, nearest: nearest)
-    monkeypatch.setattr(conclusion, "_judged", lambda f: None)
+    monkeypatch.setattr(conclusion, "judged_problem", lambda f: None)
     found = SimpleNamespace(
         first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None, chosen=None, doubt=None
     )
@@ -96,7 +96,7 @@ def alias(monkeypatch):
         after = 1 + force + unsure * np.resize([1.0, -1.0], 12)
         best = SimpleNamespace(suspects=[SimpleNamespace(place=place)], size=after)
         seen = []
-        monkeypatch.setattr(unknown, "described", lambda found, *rest: "a wind")
+        monkeypatch.setattr(unknown_cause, "described", lambda found, *rest: "a wind")
         score = SimpleNamespace(take=lambda which: SimpleNamespace(size=lambda z: own))
         problem = SimpleNamespace(score=score, residuals=lambda worlds: [own])
         gap = Gap(before=1 + left / (1 - closed), after=1 + left, closed=closed)
@@ -105,7 +105,7 @@ def alias(monkeypatch):
             seen.append(True)
             return SimpleNamespace(best=best, which=np.arange(12))
 
-        return unknown.outdoing(problem, mended, gap, (), (), "gravity_tilt"), bool(seen)
+        return unknown_cause.outdoing(problem, mended, gap, (), (), "gravity_tilt"), bool(seen)
 
     return ask
 
@@ -136,7 +136,7 @@ def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeyp
     """A wind was named as a leaning table and a mass centre, that made up for the rest."""
     monkeypatch.setattr(conclusion, "unseating", lambda *a: None)
     monkeypatch.setattr(conclusion, "outdoing", lambda *a: "a wind")
-    monkeypatch.setattr(conclusion, "_judged", lambda f: None)
+    monkeypatch.setattr(conclusion, "judged_problem", lambda f: None)
     monkeypatch.setattr(conclusion, "is_toss", lambda scene: toss)
     chosen = SimpleNamespace(members=("one",) * names)
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
@@ -155,7 +155,7 @@ def test_a_force_is_played_once_in_the_nominal_world_for_both_questions_if_it_ma
     played = []
     doubt = SimpleNamespace(may_close=lambda share: close >= share)
     monkeypatch.setattr(conclusion, "mended", lambda *a: played.append(a))
-    monkeypatch.setattr(conclusion, "_judged", lambda f: "in the named world's floors")
+    monkeypatch.setattr(conclusion, "judged_problem", lambda f: "in the named world's floors")
     monkeypatch.setattr(conclusion, "is_toss", lambda scene: False)
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(

@@ -14,18 +14,9 @@ import pytest
 from candata.datasets import open_dataset
 from candata.errors import DataError, SceneError, UsageError
 from candata.gap.blind import sanity
-from candata.gap.blind.cases import (
-    CASE,
-    CASES,
-    LABELS,
-    make_cases,
-    open_labels,
-    read_cases,
-    read_labels,
-    scene_of,
-    seal_labels,
-)
-from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Answer, Place, finished, run_cases
+from candata.gap.blind.cases import CASE, CASES, make_cases, read_cases, scene_of
+from candata.gap.blind.labels import LABELS, open_labels, read_labels, seal_labels
+from candata.gap.blind.runs import CACHE, COLD_EACH, RESULTS, Answer, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
 from candata.policies import policy

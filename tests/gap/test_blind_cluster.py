@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from candata.errors import MissingExtraError, SetupError, UsageError
-from candata.gap.blind.cases import CASES, make_cases, read_cases, seal_labels
-from candata.gap.blind.running import RESULTS, Place, finished, run_cases
+from candata.gap.blind.cases import CASES, make_cases, read_cases
+from candata.gap.blind.labels import seal_labels
+from candata.gap.blind.runs import RESULTS, Place, finished, run_cases
 from candata.schema.bench import CaseResult
 from candata.simulate import cluster
 from candata.simulate.cluster import on_ray

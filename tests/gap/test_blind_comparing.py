@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from candata.errors import UsageError
-from candata.gap.blind.comparing import compare_runs, mcnemar
+from candata.gap.blind.comparison import compare_runs, mcnemar
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.scoring import score_run
+from candata.gap.blind.scores import score_run
 from candata.schema.bench import CaseResult, FreshGap
 from candata.schema.report import Gap
 from tests.gap.outcomes import MASS, SLIDE, case, say

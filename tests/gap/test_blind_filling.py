@@ -12,14 +12,15 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError
-from candata.gap import diagnose, signatures
-from candata.gap.blind.filling import MANY, keep_signature, planned, shared_by, shared_tasks, source
-from candata.gap.blind.running import Place
-from candata.gap.candidates import candidates
-from candata.gap.diagnosis import posed
-from candata.gap.replay import Replayer
-from candata.gap.screen import respond
-from candata.gap.shortlist import brief
+from candata.gap import diagnose
+from candata.gap.blind.runs import Place
+from candata.gap.blind.signature_library import MANY, keep_signature, planned, shared_by, shared_tasks, source
+from candata.gap.fit import signatures
+from candata.gap.fit.candidates import candidates
+from candata.gap.preparation import posed
+from candata.gap.replay.replayer import Replayer
+from candata.gap.screening.shortlist import brief
+from candata.gap.screening.signature_screen import respond
 from candata.schema.manifest import Lineage
 from candata.simulate.cluster import on_ray
 from candata.simulate.crew import alone, local

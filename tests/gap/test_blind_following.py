@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap.blind import following
-from candata.gap.blind.cases import CASES, hidden_world, make_cases, open_labels, read_cases, seal_labels
+from candata.gap.blind import follow_up
+from candata.gap.blind.cases import CASES, hidden_world, make_cases, read_cases
+from candata.gap.blind.labels import open_labels, seal_labels
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.running import Place
-from candata.gap.blind.scoring import score_run
-from candata.gap.proposal import PLAYED
+from candata.gap.blind.runs import Place
+from candata.gap.blind.scores import score_run
+from candata.gap.verdict.proposal import PLAYED
 from candata.policies import Motion
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult
@@ -62,7 +63,7 @@ def asked(monkeypatch):
         report = said("explained", "joint_damping") if more else said("ambiguous")
         return SimpleNamespace(report=report, motion=() if more else (JUMP,))
 
-    monkeypatch.setattr(following, "diagnose", diagnosed)
+    monkeypatch.setattr(follow_up, "diagnose", diagnosed)
     return seen
 
 
@@ -75,7 +76,7 @@ def results(run, *reports):
 
 def test_what_was_proposed_is_recorded_in_the_hidden_world_beside_the_rest(run, asked):
     first = results(run, said("ambiguous"), said("explained", "joint_damping"))
-    found = following.follow_up(run.folder, run.places, first, run.labels)
+    found = follow_up.follow_up(run.folder, run.places, first, run.labels)
     assert list(found) == ["case-0001"], "only what was ambiguous"
     assert found["case-0001"].report.effects[0].name == "joint_damping"
     before, both = asked
@@ -96,9 +97,9 @@ def test_what_was_proposed_is_recorded_in_the_hidden_world_beside_the_rest(run, 
 def test_what_stands_is_not_recorded_again(run, asked):
     first = results(run, said("ambiguous"), said("ambiguous"))
     told = []
-    found = following.follow_up(run.folder, run.places, first, run.labels, told=told.append)
+    found = follow_up.follow_up(run.folder, run.places, first, run.labels, told=told.append)
     assert (len(asked), told) == (4, [1, 1])
-    assert following.follow_up(run.folder, run.places, first, run.labels) == found
+    assert follow_up.follow_up(run.folder, run.places, first, run.labels) == found
     assert len(asked) == 4
 
 
@@ -106,9 +107,9 @@ def test_a_second_diagnosis_that_fails_is_a_result_and_no_end_of_the_run(run, mo
     def refused(dataset, scene, **_):
         raise DataError("the commands do not match")
 
-    monkeypatch.setattr(following, "diagnose", refused)
+    monkeypatch.setattr(follow_up, "diagnose", refused)
     first = results(run, said("ambiguous"), said("ambiguous"))
-    found = following.follow_up(run.folder, run.places, first, run.labels)
+    found = follow_up.follow_up(run.folder, run.places, first, run.labels)
     assert [(r.error, r.report) for r in found.values()] == [("the commands do not match", None)] * 2
     outcome = Outcome(run.labels["case-0001"], found["case-0001"])
     rows = {r.measure: r for r in score_run([outcome], scene="arm", cases=1, followed=[outcome]).rows}
@@ -119,8 +120,8 @@ def test_a_tie_without_a_motion_to_play_is_not_followed(run):
     silent = said("ambiguous")
     task = silent.model_copy(update={"next_motion": NextMotion(name="slow")})
     some = results(run, said("no_gap"), task)
-    assert not any(following.proposes(r) for r in some)
-    assert not following.proposes(some[0].model_copy(update={"report": None}))
+    assert not any(follow_up.proposes(r) for r in some)
+    assert not follow_up.proposes(some[0].model_copy(update={"report": None}))
 
 
 def test_the_table_counts_what_came_right(run):

@@ -7,11 +7,12 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.gap.blind import fresh_gaps
-from candata.gap.blind.cases import CASES, make_cases, open_labels, read_cases, seal_labels
+from candata.gap.blind.cases import CASES, make_cases, read_cases
 from candata.gap.blind.fresh_gaps import is_recordable, measure_fresh_gaps
+from candata.gap.blind.labels import open_labels, seal_labels
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.running import Place
-from candata.gap.blind.scoring import score_run
+from candata.gap.blind.runs import Place
+from candata.gap.blind.scores import score_run
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult, LabelsFile
 from candata.schema.effect import EffectSetting

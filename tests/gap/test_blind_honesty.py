@@ -6,11 +6,11 @@ from math import log
 
 import pytest
 
+from candata.gap.blind.answers import opened
 from candata.gap.blind.honesty import LEAST_SUPPORT, all_covered, brier_score, deviation_errors, log_score
-from candata.gap.blind.opening import opened
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.running import Place
-from candata.gap.blind.scoring import score_run
+from candata.gap.blind.runs import Place
+from candata.gap.blind.scores import score_run
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
 from candata.schema.report import Estimate, NamedEffect

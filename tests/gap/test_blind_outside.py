@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from candata.errors import UnknownNameError
-from candata.gap.blind.outside import CAUSES, alter_with, draw_outside, possible_outside
+from candata.gap.blind.cases import alter_with
+from candata.gap.blind.draws import draw_outside, possible_outside
+from candata.gap.blind.outside_causes import CAUSES
 from candata.schema.bench import OutsideCause
 from candata.simulate.episodes import EpisodeJob, make_episodes
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from candata.gap.blind.misses import miss
 from candata.gap.blind.outcomes import Outcome, covered, parameter_error
-from candata.gap.blind.scoring import calibration, confusion, miss, score_run
+from candata.gap.blind.scores import calibration, confusion, score_run
 from candata.schema.bench import CaseResult, FilledSignature, Label, OutsideCause
 from candata.schema.effect import EffectSetting
 from candata.schema.report import Estimate, NamedEffect, RankedEffect, UnknownCause

@@ -7,9 +7,9 @@ from itertools import pairwise
 import pytest
 
 from candata.errors import UsageError
-from candata.gap.budget import Budget, BudgetSpent
-from candata.gap.replay import Replayer
-from candata.gap.unfinished import NOT_LOOKED_AT
+from candata.gap.replay.budget import Budget, BudgetSpent
+from candata.gap.replay.replayer import Replayer
+from candata.gap.verdict.interruption import NOT_LOOKED_AT
 
 #: Steps of a diagnosis, by what is known when its budget is spent there.
 NOTHING, FLOOR, FIRST_LOOK = "reading", "measuring the floor", "searching effects"
@@ -36,7 +36,7 @@ def stopped(monkeypatch, arm, arm_episodes, planted, judge):
 
     def run(until: str, batches: int = 1, **options):
         clock = Clock(until, batches)
-        monkeypatch.setattr("candata.gap.budget.time.process_time", clock.time)
+        monkeypatch.setattr("candata.gap.replay.budget.time.process_time", clock.time)
         episodes = arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=12)
         return judge(arm, episodes, budget=100.0, progress=clock.tell, **options)
 
@@ -107,7 +107,7 @@ def test_a_search_within_its_budget_is_the_same_search(arm, arm_episodes, plante
 
 def test_a_budget_that_is_spent_on_tosses_says_what_they_show(cube, played, judge, planted, monkeypatch):
     clock = Clock(FIRST_LOOK, 0)
-    monkeypatch.setattr("candata.gap.budget.time.process_time", clock.time)
+    monkeypatch.setattr("candata.gap.replay.budget.time.process_time", clock.time)
     episodes = played(cube, planted("friction_cone", cone="elliptic"), duration_s=0.7)
     report = judge(cube, episodes, budget=100.0, progress=clock.tell).report
     assert report.verdict == "out_of_budget"

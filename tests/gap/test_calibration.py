@@ -10,21 +10,21 @@ import pytest
 from scipy.optimize import least_squares
 
 from candata.effects import effect_names, read_effects
-from candata.gap.attribute import Attribution
-from candata.gap.budget import Budget, BudgetSpent
-from candata.gap.calibration import NO_BUDGET, with_calibration
-from candata.gap.candidates import candidates
-from candata.gap.conclusion import Diagnosis, Findings
-from candata.gap.diagnosis import _problem
-from candata.gap.evidence import Evidence
-from candata.gap.joint_fit import joint_fit
-from candata.gap.own_floor import in_world
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.search import Problem
-from candata.gap.shrink import held_out
-from candata.gap.stage import Stage
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidates
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.stage import Stage
+from candata.gap.fit.world_floor import in_world
+from candata.gap.preparation import _problem
+from candata.gap.replay.budget import Budget, BudgetSpent
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.search.attribution import Attribution
+from candata.gap.search.joint_fit import joint_fit
+from candata.gap.validation.closure import held_out
+from candata.gap.verdict.calibration import NO_BUDGET, with_calibration
+from candata.gap.verdict.figures import Evidence
+from candata.gap.verdict.findings import Diagnosis, Findings
 from candata.repair import export_mjcf
 from candata.reports import summary, write_diagnosis
 from candata.scenes import Scene, load_scene

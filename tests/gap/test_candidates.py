@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.candidates import (
+from candata.gap.fit.candidates import (
     candidate,
     candidates,
     first_probes,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from candata.gap import conclusion
-from candata.gap.candidates import candidate
+from candata.gap.fit.candidates import candidate
+from candata.gap.verdict import conclusion
 
 
 @pytest.mark.parametrize(("part", "stopped"), [(0.5, False), (0.001, False), (0.999, True), (1.0, True)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.gap import diagnose, diagnosis
+from candata.gap import diagnose, preparation
 from candata.schema.episode import Episode
 
 #: What is searched where a test is of one step of a diagnosis: the whole library would make it no better.
@@ -184,8 +184,8 @@ def test_gaps_and_unequal_lengths_are_no_obstacle(arm, arm_episodes, planted, ju
 
 
 def test_episodes_beyond_those_searched_are_measured_untouched(arm, arm_episodes, planted, judge, monkeypatch):
-    monkeypatch.setattr(diagnosis, "SEARCHED", 8)
-    monkeypatch.setattr(diagnosis, "UNTOUCHED", 4)
+    monkeypatch.setattr(preparation, "SEARCHED", 8)
+    monkeypatch.setattr(preparation, "UNTOUCHED", 4)
     report = judge(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=12), only=FEW).report
     assert [e.name for e in report.effects] == ["joint_damping"]
     assert (report.data.episodes.total, report.data.episodes.held_out) == (12, 4)
@@ -195,7 +195,7 @@ def test_episodes_beyond_those_searched_are_measured_untouched(arm, arm_episodes
 
 def test_too_few_untouched_episodes_to_measure_on_are_searched_too(arm, arm_episodes, planted, judge, monkeypatch):
     """Measured on one episode, a gap had an interval of no width, and that one could decide the verdict."""
-    monkeypatch.setattr(diagnosis, "SEARCHED", 8)
+    monkeypatch.setattr(preparation, "SEARCHED", 8)
     report = judge(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=9), only=FEW).report
     assert (report.data.episodes.total, report.data.episodes.held_out, report.data.notes) == (9, 9, ())
     assert report.verdict == "explained"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from candata.gap import diagnosis
+from candata.gap import preparation
 
 COUNT, SECONDS = 12, 0.8
 
@@ -45,10 +45,10 @@ def test_with_the_pyramidal_cone_nothing_is_named(cube, played, judge):
 
 
 def test_more_tosses_are_searched_than_episodes_of_a_hand(cube, played, judge, monkeypatch):
-    assert diagnosis.TOSSES > diagnosis.SEARCHED
-    monkeypatch.setattr(diagnosis, "SEARCHED", 2)
-    monkeypatch.setattr(diagnosis, "TOSSES", 8)
-    monkeypatch.setattr(diagnosis, "UNTOUCHED", 4)
+    assert preparation.TOSSES > preparation.SEARCHED
+    monkeypatch.setattr(preparation, "SEARCHED", 2)
+    monkeypatch.setattr(preparation, "TOSSES", 8)
+    monkeypatch.setattr(preparation, "UNTOUCHED", 4)
     report = judge(cube, played(cube, count=COUNT, duration_s=0.4, seed=5)).report
     assert report.data.notes == ("effects searched on 8 episodes, measured on the other 4",)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.dictionary import Sample, alternatives, describe_force, fitted, held_out_gain
+from candata.gap.force.dictionary import Sample, alternatives, describe_force, fitted, held_out_gain
 
 GROUPS = tuple((k,) for k in range(6))
 PARTS = [np.arange(8)[f::4] for f in range(4)]

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.gap import edit, floor, replay
-from candata.gap.edit import KEPT, edit_test
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.measure import floor
+from candata.gap.replay import replayer
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.verdict import edit_test as edit
+from candata.gap.verdict.edit_test import KEPT, edit_test
 from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 
@@ -79,7 +81,7 @@ def test_however_many_episodes_few_are_simulated_at_a_time(arm, arm_episodes, mo
     args = Replayer(arm), recs, damping(TRUE)
     whole = edit.replayed(*args, Streams(1), 2)
     monkeypatch.setattr(edit, "MANY", 4)
-    for module in (replay, floor):
+    for module in (replayer, floor):
         monkeypatch.setattr(module, "rollout", lambda *a, **k: (worlds.append(len(a[1])), rollout(*a, **k))[1])
     found = edit.replayed(*args, Streams(1), 2)
     # A block of at most four episodes: with and without the effect, or two nulls of each.

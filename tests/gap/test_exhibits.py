@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
-from candata.gap.exhibits import COURSES, POINTS, change, collinearity, elements, ranges
-from candata.gap.floor import Floor
-from candata.gap.folds import CrossFit
-from candata.gap.response import Curve, Plane
-from candata.gap.score import score
-from candata.gap.search import Fit
-from candata.gap.shrink import HeldOut
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.response import Curve, Plane
+from candata.gap.measure.floor import Floor
+from candata.gap.measure.score import score
+from candata.gap.validation.closure import HeldOut
+from candata.gap.verdict.exhibits import COURSES, POINTS, change, collinearity, elements, ranges
 from candata.schema.report import Estimate, NamedEffect
 
 NO_EVIDENCE = CrossFit(np.zeros(4), np.zeros(4), np.zeros((4, 1)))

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import floor, null_recordings, perturbed
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residuals import layout
-from candata.gap.starts import STILL_ROWS, starts
+from candata.gap.data.recordings import recordings
+from candata.gap.measure.floor import floor, null_recordings, perturbed
+from candata.gap.replay.hand_starts import STILL_ROWS
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout
+from candata.gap.replay.starts import starts
 from candata.rotation import difference
 from candata.schema.scene import Noise
 

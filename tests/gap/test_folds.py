@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from candata.gap.candidates import Candidate
-from candata.gap.folds import FOLDS, cross_fit, folds, null_threshold, rest
-from candata.gap.response import Curve, Plane
+from candata.gap.fit.candidates import Candidate
+from candata.gap.fit.folds import FOLDS, cross_fit, folds, null_threshold, rest
+from candata.gap.fit.response import Curve, Plane
 
 E, K = 12, 60
 

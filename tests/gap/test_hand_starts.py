@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from candata.gap.memory import ACT, lead_rows
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay
-from candata.gap.starts import start_notes, starts
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.replay.memory import ACT, lead_rows
+from candata.gap.replay.replayer import Replayer, replay
+from candata.gap.replay.starts import start_notes, starts
 from candata.scenes import Scene, load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import floor
-from candata.gap.held import held, only_new, sources
-from candata.gap.noise import sensor_noise
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.starts import starts
+from candata.gap.data.noise import sensor_noise
+from candata.gap.data.recordings import recordings
+from candata.gap.data.sample_hold import held, only_new, sources
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import score
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
 from candata.schema.scene import Noise
 from candata.simulate.episodes import add_noise
 

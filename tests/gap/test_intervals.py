@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate, typical_size
-from candata.gap.folds import CrossFit
-from candata.gap.response import Curve, Plane
-from candata.gap.robust import weights
-from candata.gap.search import Fit
-from candata.gap.shrink import CURVED, FINEST, _axes, intervals
+from candata.gap.data.robust_loss import weights
+from candata.gap.fit.candidates import candidate, typical_size
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.response import Curve, Plane
+from candata.gap.validation.intervals import CURVED, FINEST, _axes, intervals
 
 TRUE = np.array([0.2, 0.01])
 NAMES = ("joint_damping", "armature")
@@ -36,7 +36,7 @@ def _taken(monkeypatch):
 
         return SimpleNamespace(score=problem.score, residuals=residuals)
 
-    monkeypatch.setattr("candata.gap.shrink.taken", taken)
+    monkeypatch.setattr("candata.gap.validation.intervals.taken", taken)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def posed(arm, pair):
 
 def test_they_hold_the_truth_about_nine_times_in_ten(posed, monkeypatch):
     # What is added for contact that comes and goes is not needed here.
-    monkeypatch.setattr("candata.gap.shrink.WIDER_MANY", 1.0)
+    monkeypatch.setattr("candata.gap.validation.intervals.WIDER_MANY", 1.0)
     hits = []
     for seed in range(200):
         problem, fit, _ = posed(seed)
@@ -100,7 +100,9 @@ def test_they_narrow_with_episodes(posed):
 @pytest.mark.parametrize(("episodes", "simulated"), [(2 * CURVED, CURVED), (2 * CURVED - 1, 2 * CURVED - 1)])
 def test_of_many_episodes_every_other_is_simulated(posed, monkeypatch, episodes, simulated):
     asked = []
-    monkeypatch.setattr("candata.gap.shrink.taken", lambda problem, some: asked.append(len(some)) or problem)
+    monkeypatch.setattr(
+        "candata.gap.validation.intervals.taken", lambda problem, some: asked.append(len(some)) or problem
+    )
     problem, fit, _ = posed(1, episodes)
     problem.residuals = lambda worlds: [fit.plane.z[: asked[-1]]] * len(worlds)
     problem.score.loss = lambda z: z[: asked[-1]].mean(1)
@@ -149,7 +151,7 @@ def test_of_numbers_that_do_the_same_their_sum_is_known(posed):
 def test_a_fit_of_many_numbers_is_known_to_where_it_would_have_ended(posed, monkeypatch):
     _, _, size = posed(4, episodes=2000)
     few = np.subtract(*intervals(*posed(4, episodes=2000, true=size)[:2])[::-1])
-    monkeypatch.setattr("candata.gap.shrink.MANY", 1)
+    monkeypatch.setattr("candata.gap.validation.intervals.MANY", 1)
     many = np.subtract(*intervals(*posed(4, episodes=2000, true=size)[:2])[::-1])
     # The loss, 1.08 at the fit, rises by the square of the distance in sizes: by 0.02 of itself at 0.147 of them.
     assert many == pytest.approx(2 * (0.147 + 0.01) * size, rel=0.05)
@@ -189,7 +191,7 @@ def test_the_fit_lies_inside(posed):
 
 def test_beside_a_bound_they_are_read_on_the_other_side(posed, monkeypatch):
     """Both numbers end at zero: a parabola there has the same width as elsewhere."""
-    monkeypatch.setattr("candata.gap.shrink.FINEST", 0.0)
+    monkeypatch.setattr("candata.gap.validation.intervals.FINEST", 0.0)
     _, _, size = posed(2)
     widths = [np.subtract(*intervals(*posed(2, true=size * share)[:2])[::-1]) for share in (1.0, 0.1)]
     assert widths[1] == pytest.approx(widths[0], rel=0.05)
@@ -239,7 +241,7 @@ def test_of_one_number_whose_loss_never_surely_rises_refits_say_how_far_it_is_kn
     flat, (problem, fit, _) = np.full((20, 30), 9.0, np.float32), trapped(arm, 1)
     problem.residuals = lambda worlds: [flat for _ in worlds]
     low, high = intervals(problem, fit)
-    monkeypatch.setattr("candata.gap.shrink._curved", lambda problem, fit, own: (own, own))
+    monkeypatch.setattr("candata.gap.validation.intervals._curved", lambda problem, fit, own: (own, own))
     assert (low, high) == intervals(trapped(arm, 1)[0], fit)
 
 
@@ -247,6 +249,6 @@ def test_of_one_number_whose_simulated_loss_is_what_was_read_nothing_is_simulate
     """Of limits that hardly bind one side is flat: a parabola through it would say that nothing is known."""
     problem, fit, _ = trapped(arm, 1)
     problem.residuals = lambda worlds: [fit.curve.read(u) for u in worlds]
-    monkeypatch.setattr("candata.gap.shrink._curved", lambda *_: pytest.fail("simulated around the fit"))
+    monkeypatch.setattr("candata.gap.validation.intervals._curved", lambda *_: pytest.fail("simulated around the fit"))
     (low,), (high,) = intervals(problem, fit)
     assert low < high

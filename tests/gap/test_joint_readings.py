@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.effort import effort_law
-from candata.gap.effort_unit import with_effort_unit
-from candata.gap.recordings import recordings
-from candata.gap.reference import changed_since
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residuals import layout, residual
-from candata.gap.starts import starts
-from candata.gap.velocity import aligned_velocity, joint_velocity
+from candata.gap.data.recordings import recordings
+from candata.gap.data.velocity import aligned_velocity, joint_velocity
+from candata.gap.measure.reference import changed_since
+from candata.gap.replay.effort import effort_law
+from candata.gap.replay.effort_unit import with_effort_unit
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from candata.gap import kept
+from candata.gap.run import cache
 
 ARRAYS = {
     "raw": np.arange(24.0).reshape(2, 3, 4),
@@ -19,12 +19,12 @@ ARRAYS = {
 
 @pytest.fixture
 def file(tmp_path):
-    kept.keep(tmp_path / "set" / "a.npz", **ARRAYS)
+    cache.keep(tmp_path / "set" / "a.npz", **ARRAYS)
     return tmp_path / "set" / "a.npz"
 
 
 def test_arrays_come_back(file):
-    arrays = kept.read(file)
+    arrays = cache.read(file)
     assert arrays is not None
     assert arrays.keys() == ARRAYS.keys()
     for name, values in ARRAYS.items():
@@ -42,14 +42,14 @@ def test_any_damaged_bit_is_a_miss(file):
         bad = bytearray(good)
         bad[index // 8] ^= 1 << index % 8
         file.write_bytes(bad)
-        assert kept.read(file) is None
+        assert cache.read(file) is None
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
 def test_a_cut_file_is_a_miss(file, share):
     good = file.read_bytes()
     file.write_bytes(good[: int(share * len(good))])
-    assert kept.read(file) is None
+    assert cache.read(file) is None
 
 
 def test_files_of_others_are_misses(tmp_path):
@@ -58,14 +58,14 @@ def test_files_of_others_are_misses(tmp_path):
     np.save(tmp_path / "one.npy", ARRAYS["raw"])
     (tmp_path / "text.npz").write_text("version https://git-lfs.github.com/spec/v1\n")
     for name in ("plain.npz", "objects.npz", "one.npy", "text.npz", "missing.npz", "."):
-        assert kept.read(tmp_path / name) is None
+        assert cache.read(tmp_path / name) is None
 
 
 def test_sets_dated_by_a_clock_that_was_set_back_go_too(tmp_path, monkeypatch):
     for name, age_s in (("old", 86_400.0), ("in-use", 60.0), ("future", -3e7)):
-        kept.keep(tmp_path / "signatures" / name / "x.npz", residual=np.zeros(1000))
+        cache.keep(tmp_path / "signatures" / name / "x.npz", residual=np.zeros(1000))
         stamp = time.time() - age_s
         os.utime(tmp_path / "signatures" / name, (stamp, stamp))
-    monkeypatch.setattr(kept, "LIMIT_BYTES", 1000)
-    kept.prune(tmp_path)
+    monkeypatch.setattr(cache, "LIMIT_BYTES", 1000)
+    cache.prune(tmp_path)
     assert [path.name for path in (tmp_path / "signatures").iterdir()] == ["in-use"]

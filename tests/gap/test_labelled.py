@@ -6,8 +6,9 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.gap.blind import labelled as labelled_module
-from candata.gap.blind.labelled import SETTINGS, pairs_of, read_labelled, run_pairs, score_pairs
+from candata.gap.blind import setting_pairs as labelled_module
+from candata.gap.blind.labelled_set import pairs_of, read_labelled
+from candata.gap.blind.setting_pairs import SETTINGS, run_pairs, score_pairs
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
 from candata.schema.labelled import PairResult

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.lagged import centred, drives, lagged, own_lag
+from candata.gap.data.lag import centred, drives, lagged, own_lag
 
 T = np.arange(200) / 80.0
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate, candidates
-from candata.gap.diagnosis import _problem
-from candata.gap.local import promising
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.screen import respond
-from candata.gap.stage import typical
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate, candidates
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.elements import promising
+from candata.gap.screening.look import typical
+from candata.gap.screening.signature_screen import respond
 from candata.simulate.episodes import EpisodeJob, make_episodes
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.evidence import HeatMap
-from candata.gap.locate import FLIPS, LEVEL, acts_on, locate, symptoms
+from candata.gap.measure.symptoms import FLIPS, LEVEL, HeatMap, acts_on, locate, symptoms
 from candata.schema.report import Symptom
 
 E, BLOCKS, COLUMNS = 12, 12, 3

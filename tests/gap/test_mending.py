@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import mending
-from candata.gap.attribute import attribute
-from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
-from candata.gap.mending import Doubt, LoneForce
-from candata.gap.recordings import recordings
-from candata.gap.refine import joint
-from candata.gap.replay import Replayer
-from candata.gap.shortlist import brief
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.force import remedy
+from candata.gap.force.remedy import Doubt, LoneForce
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.shortlist import brief
+from candata.gap.search.attribution import attribute
 from tests.gap import hidden
 
 
@@ -69,7 +69,7 @@ def mending_half(monkeypatch) -> list[int]:
         played.append(len(problem.recs))
         return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="joint")]))
 
-    monkeypatch.setattr(mending, "mended", half)
+    monkeypatch.setattr(remedy, "mended", half)
     return played
 
 
@@ -84,7 +84,7 @@ def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, 
 @pytest.mark.parametrize(("place", "stands"), [("fingertip", False), ("object", True), ("wrist", True)])
 def test_a_correction_of_what_fingertips_read_is_no_cause_by_itself(cogs, named, monkeypatch, place, stands):
     force = SimpleNamespace(best=SimpleNamespace(closed=0.99, suspects=[SimpleNamespace(place=place)]))
-    monkeypatch.setattr(mending, "mended", lambda *a: force)
+    monkeypatch.setattr(remedy, "mended", lambda *a: force)
     assert bool(Doubt(LoneForce(cogs)).of(cogs, named.plane.z)) is stands
 
 
@@ -106,7 +106,7 @@ def test_what_was_named_before_counts_where_less_is_named_later(cogs, named):
 
 def test_it_is_not_played_where_names_leave_it_no_room(cogs, named, monkeypatch):
     """What names leave must be more than what a force has to close beyond them."""
-    monkeypatch.setattr(mending, "mended", lambda *a: pytest.fail("it is played"))
+    monkeypatch.setattr(remedy, "mended", lambda *a: pytest.fail("it is played"))
     assert not Doubt(LoneForce(cogs)).of(cogs, named.plane.z * np.float32(0.01))
 
 
@@ -119,33 +119,33 @@ def test_what_mends_little_of_a_few_episodes_may_close_no_more_of_all(cogs, monk
 
 
 def test_which_force_mends_most_is_decided_on_half_of_the_episodes_and_judged_on_all(cogs, monkeypatch):
-    played, real = [], mending.stopgap
+    played, real = [], remedy.stopgap
 
     def counted(problem, world, nominal, some, index=None):
         played.append(len(problem.recs) if index is None else len(index))
         return real(problem, world, nominal, some, index)
 
-    monkeypatch.setattr(mending, "stopgap", counted)
-    found = mending.mended(cogs, ())
+    monkeypatch.setattr(remedy, "stopgap", counted)
+    found = remedy.mended(cogs, ())
     assert found.best.size.shape == (12,)
     assert set(played[:-1]) == {8}, "two of the three of each fold"
     assert played[-1] == 12
     played.clear()
-    assert len(mending.mended(brief(cogs)[0], ()).best.size) == 6
+    assert len(remedy.mended(brief(cogs)[0], ()).best.size) == 6
     assert set(played) == {6}
 
 
 def test_what_names_leave_is_described_from_fewer_episodes(cogs, named, monkeypatch):
-    monkeypatch.setattr(mending, "LEFT_OVER", 8)
+    monkeypatch.setattr(remedy, "LEFT_OVER", 8)
     looked: list[int] = []
 
     def nothing(problem, world):
         looked.append(len(problem.recs))
         return [], []
 
-    monkeypatch.setattr(mending, "_standing_out", nothing)
-    mending.mended(cogs, cogs.setting(named.members))
-    mending.mended(cogs, ())
+    monkeypatch.setattr(remedy, "_standing_out", nothing)
+    remedy.mended(cogs, cogs.setting(named.members))
+    remedy.mended(cogs, ())
     assert looked == [8, 12]
 
 
@@ -160,5 +160,5 @@ def test_with_more_motions_than_episodes_are_looked_at_one_of_each_is(cogs):
     index, parts = np.arange(30) % 12, [np.array([i]) for i in range(30)]
     taken = {name: getattr(cogs, name).take(index) for name in ("recs", "begin", "plan", "score", "library")}
     taken |= {"before": {name: values[index] for name, values in cogs.before.items()}, "raw": cogs.raw[index]}
-    some, which = mending._some(replace(cogs, parts=parts, **taken))
+    some, which = remedy._some(replace(cogs, parts=parts, **taken))
     assert len(some.recs) == len(which) == 30

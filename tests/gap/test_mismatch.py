@@ -10,12 +10,12 @@ import pytest
 
 from candata.effects import effect, effect_names
 from candata.errors import DataError
-from candata.gap import mismatch_shifts as shifts
-from candata.gap.candidates import candidate
-from candata.gap.mismatch import checked, mismatch
-from candata.gap.mismatch_commands import paired
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.mismatch import timing
+from candata.gap.mismatch.check import checked, mismatch
+from candata.gap.mismatch.commands import paired
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import Scene, load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.simulate import at_rest, rollout
@@ -150,8 +150,8 @@ def test_once_a_rival_explains_early_joints_better_no_other_is_played(gripper, g
     pairs = paired(gripper, recs)
     own = recs.readings["joint_position"][..., pairs.drive.joints]
     apart = iter([1.0, 2.0, 0.9, 0.5, 3.0])  # shifted, as it is, then one rival after another
-    monkeypatch.setattr(shifts, "_apart", lambda *a: next(apart))
-    assert shifts.early_findings(shifts.SampleReplay(Replayer(gripper), recs, None), pairs, own, -1.0) == []
+    monkeypatch.setattr(timing, "_apart", lambda *a: next(apart))
+    assert timing.early_findings(timing.SampleReplay(Replayer(gripper), recs, None), pairs, own, -1.0) == []
     assert next(apart) == 3.0
 
 
@@ -161,7 +161,7 @@ def test_stronger_motors_explain_early_joints_too(gripper, gripped, monkeypatch)
     own = recs.readings["joint_position"][..., pairs.drive.joints]
     played: list = []
     monkeypatch.setattr(
-        shifts.SampleReplay,
+        timing.SampleReplay,
         "play",
         lambda self, recs, effects=(): played.append(effects) or {"joint_position": recs.readings["joint_position"]},
     )
@@ -170,10 +170,10 @@ def test_stronger_motors_explain_early_joints_too(gripper, gripped, monkeypatch)
         limited = played and played[-1] and played[-1][0].name == "torque_limit"
         return 0.5 if limited else 1.0 if len(played) == 1 else 2.0
 
-    monkeypatch.setattr(shifts, "_apart", apart)
-    assert shifts.early_findings(shifts.SampleReplay(Replayer(gripper), recs, None), pairs, own, -1.0) == []
+    monkeypatch.setattr(timing, "_apart", apart)
+    assert timing.early_findings(timing.SampleReplay(Replayer(gripper), recs, None), pairs, own, -1.0) == []
     strongest = np.exp(candidate("torque_limit", gripper).neutral[0])
-    assert played[-1][0].parameters["limit_Nm"] == pytest.approx(shifts.STRONGER[0] * strongest)
+    assert played[-1][0].parameters["limit_Nm"] == pytest.approx(timing.STRONGER[0] * strongest)
 
 
 def test_a_delay_of_a_step_is_physics_with_a_note(gripper, gripped):

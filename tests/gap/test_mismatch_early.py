@@ -9,9 +9,9 @@ import pytest
 
 from candata.effects import setting
 from candata.fetch.xl330_pendulum import TABLE
-from candata.gap.mismatch import mismatch
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.mismatch.check import mismatch
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import load_scene
 from candata.simulate import rollout
 

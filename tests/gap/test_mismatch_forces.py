@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.mismatch_forces import exchange_findings, scale_findings
-from candata.gap.mismatch_sensors import tare
+from candata.gap.mismatch.fingertip_exchange import exchange_findings
+from candata.gap.mismatch.force_units import scale_findings
+from candata.gap.mismatch.sensors import tare
 
 #: A fingertip is free in the first rows, then pressed with a changing force [N].
 ROWS, FREE = 60, 20

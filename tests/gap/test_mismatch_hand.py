@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names
-from candata.gap.mismatch import checked, mismatch
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.mismatch.check import checked, mismatch
+from candata.gap.replay.replayer import Replayer
 from candata.schema.episode import Episode
 from tests.gap.recording_faults import FAULTS, Change, changed, channel, columns, drawn, found
 

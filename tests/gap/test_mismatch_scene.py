@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap import mismatch_shifts as module
-from candata.gap.mismatch import checked, mismatch
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.mismatch import timing as module
+from candata.gap.mismatch.check import checked, mismatch
+from candata.gap.replay.replayer import Replayer
 from candata.scenes import load_scene
 from tests.gap.conftest import ARM, ROLES
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from candata.gap.mismatch_swaps import confirmed, distances, ordered
+from candata.gap.mismatch.swaps import confirmed, distances, ordered
 
 #: Four episodes of two joints: in the last two, fingers are stopped and the commands lie near each other.
 TIME = np.linspace(0, 3, 100)

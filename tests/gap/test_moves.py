@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.fits import Fit, key_of
 from candata.gap.moves import MOVES
 from candata.gap.moves._view import View
 from candata.gap.moves.split import SHARES
-from candata.gap.search import Fit, key_of
-from candata.gap.shortlist import brief
+from candata.gap.screening.shortlist import brief
 from candata.scenes import load_scene
 from tests.gap.conftest import fitted, members, plant
 

@@ -7,10 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import next_motion, proposal
-from candata.gap.candidates import candidate
-from candata.gap.floor import floor
-from candata.gap.next_motion import (
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.signatures import library
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import score
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
+from candata.gap.run.streams import Streams
+from candata.gap.verdict import next_motion, proposal
+from candata.gap.verdict.next_motion import (
     REFIT,
     Choice,
     Rivals,
@@ -20,14 +28,6 @@ from candata.gap.next_motion import (
     usual_motions,
     worse,
 )
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.search import Problem
-from candata.gap.signatures import library
-from candata.gap.starts import starts
-from candata.gap.streams import Streams
 from candata.policies import Motion, command_limits
 from candata.schema.effect import EffectSetting
 from candata.schema.scene import Noise

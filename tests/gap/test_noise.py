@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.noise import SMALLEST, sensor_noise
-from candata.gap.recordings import recordings
-from candata.gap.repeated_motions import repeated
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.rounding import before_rounding, force_step
-from candata.gap.starts import starts
+from candata.gap.data.noise import SMALLEST, sensor_noise
+from candata.gap.data.recordings import recordings
+from candata.gap.data.repetition import repeated
+from candata.gap.data.rounding import before_rounding, force_step
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.starts import starts
 from candata.schema.scene import Noise
 from candata.simulate.episodes import add_noise
 

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
-from candata.gap.null_test import null_gains, surpasses_nulls
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.validation.null_test import null_gains, surpasses_nulls
 from candata.scenes import load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 

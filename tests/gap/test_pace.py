@@ -8,13 +8,13 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import diagnose
-from candata.gap.diagnosis import _problem
-from candata.gap.outlook import LATER, say_outlook
-from candata.gap.pace import ANOTHER, ONE, REST, SIGNATURE, Forecast, Pace, Span
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.streams import Streams
-from candata.gap.wanted import wanted
+from candata.gap.data.recordings import recordings
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.pace import ANOTHER, ONE, REST, SIGNATURE, Forecast, Pace, Span
+from candata.gap.run.streams import Streams
+from candata.gap.screening.demand import wanted
+from candata.gap.search.outlook import LATER, say_outlook
 from candata.schema.manifest import Lineage
 
 

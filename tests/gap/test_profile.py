@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
-from candata.gap.folds import CrossFit
-from candata.gap.profile import COSTS, known
-from candata.gap.response import Curve, Plane
-from candata.gap.search import Fit
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.response import Curve, Plane
+from candata.gap.validation.profile import COSTS, known
 
 EPISODES = 16
 #: Spread over episodes of the coordinate with the least loss, of one that is bound to 0.3.
@@ -29,9 +29,9 @@ class Episodes(tuple):
 @pytest.fixture(autouse=True)
 def _taken(monkeypatch):
     """Let all episodes be simulated."""
-    for module in ("profile", "shrink"):
-        monkeypatch.setattr(f"candata.gap.{module}.taken", lambda problem, some: problem)
-        monkeypatch.setattr(f"candata.gap.{module}.every_other", lambda tasks: np.arange(len(tasks)))
+    for module in ("profile", "intervals"):
+        monkeypatch.setattr(f"candata.gap.validation.{module}.taken", lambda problem, some: problem)
+        monkeypatch.setattr(f"candata.gap.validation.{module}.every_other", lambda tasks: np.arange(len(tasks)))
 
 
 def posed(arm, rise, own, seed=0, weight=1e4):
@@ -83,7 +83,7 @@ def step(edge, top=None):
 
 def resampled(monkeypatch):
     """Let resampling say what it would of a parabola: 1.645 standard errors to both sides."""
-    monkeypatch.setattr("candata.gap.profile.intervals", known_by_resampling)
+    monkeypatch.setattr("candata.gap.validation.profile.intervals", known_by_resampling)
 
 
 def known_by_resampling(problem, fit):
@@ -157,7 +157,9 @@ def test_a_number_that_stopped_at_its_bound_is_known_from_the_other_side(arm):
 def test_where_the_loss_has_not_even_risen_at_the_effects_absence_the_interval_stays(arm, monkeypatch):
     """What shows in the mean over many replays alone, single ones do not tell."""
     problem, fit = posed(arm, lambda u, off: 0 * off, own=0.1)
-    monkeypatch.setattr("candata.gap.profile.intervals", lambda problem, fit: (np.array([0.08]), np.array([0.12])))
+    monkeypatch.setattr(
+        "candata.gap.validation.profile.intervals", lambda problem, fit: (np.array([0.08]), np.array([0.12]))
+    )
     found = known(problem, fit)
     assert (found.low, found.value, found.high) == (0.08, 0.1, 0.12)
     assert not (found.no_low | found.no_high).any()
@@ -183,7 +185,7 @@ def test_of_a_set_each_only_number_is_tried_with_the_others_held_and_vectors_and
     )
     flat = np.zeros((EPISODES, 30), np.float32)
     fit = Fit(members, Plane(at, at, at, flat, np.zeros((size, *flat.shape))), CrossFit(*np.zeros((3, 1, 1))))
-    monkeypatch.setattr("candata.gap.profile.intervals", lambda problem, fit: (at - 0.01, at + 0.01))
+    monkeypatch.setattr("candata.gap.validation.profile.intervals", lambda problem, fit: (at - 0.01, at + 0.01))
     found = known(problem, fit)
     assert found.no_high.tolist() == [True, False, False, False, False]
     assert not found.no_low.any()

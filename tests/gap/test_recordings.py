@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap import recordings as module
-from candata.gap.recordings import read, recordings
+from candata.gap.data import recordings as module
+from candata.gap.data.recordings import read, recordings
 from candata.schema.episode import Episode, EpisodeMeta
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap.recordings import recordings
-from candata.gap.reference import changed_since
-from candata.gap.replay import Replayer
+from candata.gap.data.recordings import recordings
+from candata.gap.measure.reference import changed_since
+from candata.gap.replay.replayer import Replayer
 from candata.schema.scene import Repeatability
 from tests.gap.test_repeats import problem_of, runs
 

@@ -9,17 +9,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import refine
-from candata.gap.candidates import Candidate, candidate
-from candata.gap.diagnosis import _problem
-from candata.gap.floor import perturbed
-from candata.gap.folds import cross_fit
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.response import Plane
-from candata.gap.screen import respond
-from candata.gap.search import Fit, Problem, fit_one
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import Candidate, candidate
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import cross_fit
+from candata.gap.fit.problem import Problem, fit_one
+from candata.gap.fit.response import Plane
+from candata.gap.measure.floor import perturbed
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening import refinement, set_slopes
+from candata.gap.screening.signature_screen import respond
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +59,14 @@ def alone(problem, *names):
 def test_beside_nothing_an_effect_that_promises_little_is_not_simulated(problem, rollouts):
     fits, base = alone(problem, "joint_dry_friction", "armature")
     fits.sort(key=lambda f: -f.gain)
-    assert fits[1].gain < refine.PROMISE * fits[0].gain
-    refine.refined(problem, fits, base)
+    assert fits[1].gain < refinement.PROMISE * fits[0].gain
+    refinement.refined(problem, fits, base)
     assert {*rollouts} == {("joint_dry_friction",)}
 
 
 def test_a_scalar_is_simulated_around_its_best_and_there(problem, rollouts):
     (rough,), base = alone(problem, "joint_dry_friction")
-    found = refine.polished(problem, rough, base)
+    found = refinement.polished(problem, rough, base)
     assert len(rollouts) == 3
     assert found.members[0][1][0] == pytest.approx(0.3, rel=0.03)
     sure = found.curve.at[found.curve.sure]
@@ -74,7 +75,7 @@ def test_a_scalar_is_simulated_around_its_best_and_there(problem, rollouts):
 
 @pytest.mark.parametrize(
     ("helpful", "simulated"),
-    [(0, (0, 2)), (1, (0, 1, 2)), (3, (0, 1, 2, 2, 2)), (99, (0, 1, 2, *[2] * refine.AGAIN))],
+    [(0, (0, 2)), (1, (0, 1, 2)), (3, (0, 1, 2, 2, 2)), (99, (0, 1, 2, *[2] * refinement.AGAIN))],
 )
 def test_slopes_are_simulated_again_while_that_helps_and_once_more(problem, monkeypatch, helpful, simulated):
     widths = []
@@ -86,40 +87,42 @@ def test_slopes_are_simulated_again_while_that_helps_and_once_more(problem, monk
     def descended(problem, fit, plane, slope):
         return replace(plane, z=0.95 * plane.z) if 0 < len(widths) <= helpful else plane
 
-    monkeypatch.setattr(refine, "SHARP", -1.0)
-    monkeypatch.setattr(refine, "_differences", differences)
-    monkeypatch.setattr(refine, "_descended", descended)
+    monkeypatch.setattr(refinement, "SHARP", -1.0)
+    monkeypatch.setattr(refinement, "differences", differences)
+    monkeypatch.setattr(refinement, "_descended", descended)
     members = ((candidate("joint_damping", problem.replayer.scene), np.full(1, 0.3)),)
     base = problem.score.loss(problem.nominal)
-    refine.joint(problem, members, base)
-    assert widths == [refine.WIDTHS[i] for i in simulated]
+    refinement.joint(problem, members, base)
+    assert widths == [refinement.WIDTHS[i] for i in simulated]
     widths.clear()
-    refine.joint(problem, members, base, refine.WIDTHS[:1])
-    assert widths == [refine.WIDTHS[0]], "again over the last width alone"
+    refinement.joint(problem, members, base, refinement.WIDTHS[:1])
+    assert widths == [refinement.WIDTHS[0]], "again over the last width alone"
 
 
 @pytest.mark.parametrize(("names", "simulated"), [(3, True), (4, False)])
 def test_of_a_few_effects_the_slopes_of_all_numbers_are_simulated(problem, monkeypatch, names, simulated):
     """However many they are: sixteen joint offsets and a torque limit are two names. Of many names, few numbers."""
-    monkeypatch.setattr(refine, "MOST_SLOPES", 1)
-    asked, real = [], refine._differences
-    monkeypatch.setattr(refine, "_differences", lambda *a: asked.append(a) or real(*a))
+    monkeypatch.setattr(refinement, "MOST_SLOPES", 1)
+    asked, real = [], refinement.differences
+    monkeypatch.setattr(refinement, "differences", lambda *a: asked.append(a) or real(*a))
     base = problem.score.loss(problem.nominal)
     some = ("joint_dry_friction", "joint_damping", "armature", "actuation_delay")[:names]
     scene = problem.replayer.scene
-    refine.joint(problem, tuple((c, c.neutral + 1e-3) for c in (candidate(n, scene) for n in some)), base)
+    refinement.joint(problem, tuple((c, c.neutral + 1e-3) for c in (candidate(n, scene) for n in some)), base)
     assert bool(asked) == simulated
 
 
 def test_no_slopes_are_simulated_of_a_set_that_leaves_next_to_nothing(problem, monkeypatch):
-    monkeypatch.setattr(refine, "_differences", lambda *a: pytest.fail("slopes were simulated"))
+    monkeypatch.setattr(refinement, "differences", lambda *a: pytest.fail("slopes were simulated"))
     problem = replace(problem, score=replace(problem.score, floor=1.1 * problem.score.floor))
     c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
-    found = refine.joint(problem, ((c, np.full(1, 0.3)),), base)
+    found = refinement.joint(problem, ((c, np.full(1, 0.3)),), base)
     above = float(problem.score.loss(found.plane.z).mean()) - 1
-    assert above < refine.SHARP * float(base.mean())
+    assert above < refinement.SHARP * float(base.mean())
     with pytest.raises(pytest.fail.Exception, match="slopes were simulated"):
-        refine.joint(replace(problem, score=replace(problem.score, floor=problem.score.floor / 2)), found.members, base)
+        refinement.joint(
+            replace(problem, score=replace(problem.score, floor=problem.score.floor / 2)), found.members, base
+        )
 
 
 def test_replays_from_several_starts_are_those_from_each(problem):
@@ -137,7 +140,7 @@ def test_replays_from_several_starts_are_those_from_each(problem):
 def test_where_a_scalar_was_simulated_it_is_read_and_not_simulated_again(problem, rollouts):
     (rough,), base = alone(problem, "joint_dry_friction")
     ((c, _),) = rough.members
-    found = refine.polished(problem, rough, base)
+    found = refinement.polished(problem, rough, base)
     there = found.curve.at[found.curve.sure][-1:]
     simulated = problem.residuals([problem.setting([(c, there)])])[0]
     rollouts.clear()
@@ -172,12 +175,12 @@ def test_a_number_on_the_wrong_side_is_mirrored_where_that_leaves_less(offset, m
     def mirrored(*u):
         plane = placed(problem, c, np.array(u))
         evidence = cross_fit(plane, problem.score, problem.parts, base)
-        ((_, found),) = refine._mirrored(problem, Fit(((c, np.array(u)),), plane, evidence), base)
+        ((_, found),) = refinement._mirrored(problem, Fit(((c, np.array(u)),), plane, evidence), base)
         return tuple(found)
 
     assert mirrored(0.06, 0.05) == pytest.approx((0.06, -0.05))
     assert mirrored(0.06, -0.05) == pytest.approx((0.06, -0.05))
-    monkeypatch.setattr(refine, "FEW_NUMBERS", 1)  # of many numbers this would cost too much
+    monkeypatch.setattr(refinement, "FEW_NUMBERS", 1)  # of many numbers this would cost too much
     assert mirrored(0.06, 0.05) == pytest.approx((0.06, 0.05))
 
 
@@ -185,11 +188,11 @@ def test_a_step_that_noisy_slopes_make_too_short_goes_on_while_it_gains(offset):
     problem, c, true = offset
     rng, begin = np.random.default_rng(0), np.array([0.03, -0.02])
     here = placed(problem, c, begin)
-    slope = refine._differences(problem, ((c, begin),), lambda u: ((c, u),), here.z, 0.25)
+    slope = refinement.differences(problem, ((c, begin),), lambda u: ((c, u),), here.z, 0.25)
     noise = rng.normal(0, 2 * slope.std(axis=(1, 2), keepdims=True), slope.shape).astype(np.float32)
     plane = replace(here, slope=slope + noise)
     target = plane.best(np.arange(len(plane.z)))
-    near, far = (refine.stepped(problem, plane, target, lambda u: ((c, u),), goes) for goes in (False, True))
+    near, far = (refinement.stepped(problem, plane, target, lambda u: ((c, u),), goes) for goes in (False, True))
     assert left(problem, far) < left(problem, near) < left(problem, plane)
     assert np.linalg.norm(far.at - true) < np.linalg.norm(near.at - true)
 
@@ -198,7 +201,7 @@ def test_a_step_stays_inside_the_bounds_however_far_it_gains(offset):
     problem, c, _ = offset
     bounds = {"low": np.array([0.01, -0.04]), "high": np.array([0.05, -0.02])}
     plane = replace(placed(problem, c, np.array([0.02, -0.03])), **bounds)  # flat: any gain is more than it promises
-    found = refine.stepped(problem, plane, np.array([0.03, -0.035]), lambda u: ((c, u),), True)
+    found = refinement.stepped(problem, plane, np.array([0.03, -0.035]), lambda u: ((c, u),), True)
     assert found.at == pytest.approx([0.04, -0.04])
 
 
@@ -219,11 +222,11 @@ def asked(problem, members, world, known):
         return world(u)
 
     z = problem.residuals([problem.setting(members)])[0]
-    return seen, refine._differences(problem, members, here, z, 0.25, known)
+    return seen, refinement.differences(problem, members, here, z, 0.25, known)
 
 
 def test_slopes_along_turned_directions_are_those_along_numbers(problem, two):
-    world = partial(refine.divided, two)
+    world = partial(refinement.divided, two)
     _, plain = asked(problem, two, world, None)
     seen, turned = asked(problem, two, world, plain)
     away = np.array(seen) - np.concatenate([u for _, u in two])
@@ -234,12 +237,12 @@ def test_slopes_along_turned_directions_are_those_along_numbers(problem, two):
 def test_a_choice_has_no_slope_and_leaves_the_others_theirs(problem, two):
     scene = problem.replayer.scene
     choices = tuple((c, c.low) for c in (candidate(name, scene) for name in ("integrator", "time_step")))
-    fit = refine.joint(problem, choices, problem.score.loss(problem.nominal))
+    fit = refinement.joint(problem, choices, problem.score.loss(problem.nominal))
     assert not fit.plane.slope.any()
     assert [u[0] for _, u in fit.members] == [u[0] for _, u in choices]
     both = (choices[0], *two)
-    _, plain = asked(problem, both, partial(refine.divided, both), None)
-    _, turned = asked(problem, both, partial(refine.divided, both), plain)
+    _, plain = asked(problem, both, partial(refinement.divided, both), None)
+    _, turned = asked(problem, both, partial(refinement.divided, both), plain)
     assert not turned[0].any()
     assert turned[1:].any(axis=(1, 2)).all()
 
@@ -269,7 +272,7 @@ class Valley:
 @pytest.fixture
 def pair(monkeypatch):
     """An effect of two numbers between -9 and 9, of which one is plausible."""
-    monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
+    monkeypatch.setattr(set_slopes, "typical_size", lambda c, scene: np.ones(2))
     c = Candidate(
         "joint_offset",
         None,
@@ -286,10 +289,10 @@ def pair(monkeypatch):
 
 def test_what_two_numbers_do_together_is_told_where_each_does_much(pair):
     members, valley = ((pair, np.zeros(2)),), Valley(0.1)
-    world, z = partial(refine.divided, members), np.zeros((6, 40), np.float32)
+    world, z = partial(refinement.divided, members), np.zeros((6, 40), np.float32)
     wrong, known = [], None
     for _ in range(3):
-        known = refine._differences(valley, members, world, z, 0.25, known)
+        known = refinement.differences(valley, members, world, z, 0.25, known)
         together = known[0] - known[1] - (valley.slope[0] - valley.slope[1])
         wrong.append(float(np.sqrt((together**2).mean())))
     assert wrong[2] < 0.5 * wrong[0]
@@ -298,6 +301,6 @@ def test_what_two_numbers_do_together_is_told_where_each_does_much(pair):
 @pytest.mark.parametrize("at", [(-9.0, 0.0), (9.0, 9.0), (8.9, -8.9), (0.0, 0.1)])
 def test_slopes_are_read_inside_the_bounds(pair, at):
     members, valley = ((pair, np.array(at)),), Valley(0.0)
-    seen, slope = asked(valley, members, partial(refine.divided, members), valley.slope)
+    seen, slope = asked(valley, members, partial(refinement.divided, members), valley.slope)
     assert all((np.abs(u) <= 9.0).all() for u in seen)
     assert slope == pytest.approx(valley.slope, abs=1e-4)

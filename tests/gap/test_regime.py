@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap.regime import motion, regimes, splits, with_regimes, within_and_beside
-from candata.gap.streams import Streams
+from candata.gap.run.streams import Streams
+from candata.gap.verdict.regime import motion, regimes, splits, with_regimes, within_and_beside
 from candata.schema.report import Symptom
 
 E, BLOCKS, ROWS = 12, 60, 5

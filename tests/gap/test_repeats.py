@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.deviation import SlowDeviation, unshaped
-from candata.gap.diagnosis import posed
-from candata.gap.replay import Replayer
-from candata.gap.rounding import joint_step
+from candata.gap.data.deviation import SlowDeviation, unshaped
+from candata.gap.data.rounding import joint_step
+from candata.gap.preparation import posed
+from candata.gap.replay.replayer import Replayer
 from candata.schema.effect import EffectSetting
 from candata.schema.scene import Noise, Repeatability
 

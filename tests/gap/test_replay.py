@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import replay as module
-from candata.gap.recordings import recordings
-from candata.gap.replay import ReplayedSteps, Replayer, needs_simulation, replay, replay_all
-from candata.gap.starts import Starts, starts
+from candata.gap.data.recordings import recordings
+from candata.gap.replay import replayer as module
+from candata.gap.replay.replayer import ReplayedSteps, Replayer, needs_simulation, replay, replay_all
+from candata.gap.replay.starts import Starts, starts
 from candata.simulate import Observer, at_rest, rollout
 
 #: Readings are stored as float32: half a last place of 1, and what a servo makes of it.

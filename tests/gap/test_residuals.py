@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.recordings import recordings
-from candata.gap.residuals import layout, residual
-from candata.gap.starts import starts
+from candata.gap.data.recordings import recordings
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
 from candata.rotation import exp, multiply
 
 #: Rows of a 50 ms block at the arm's 100 Hz and the hand's 80 Hz.

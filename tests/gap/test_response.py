@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import response as module
-from candata.gap.candidates import Candidate
-from candata.gap.response import Curve, Plane
-from candata.gap.robust import rho
+from candata.gap.data.robust_loss import rho
+from candata.gap.fit import response as module
+from candata.gap.fit.candidates import Candidate
+from candata.gap.fit.response import Curve, Plane
 
 E, K = 6, 300
 

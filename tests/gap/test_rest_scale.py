@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer
-from candata.gap.rest_scale import SYSTEMATIC, Scale, _causes, length_scale, scale_from_flight, scale_from_rest
-from candata.gap.starts import starts
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.fit.length_scale import (
+    SYSTEMATIC,
+    Scale,
+    _causes,
+    length_scale,
+    scale_from_flight,
+    scale_from_rest,
+)
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.replay.starts import starts
+from candata.gap.run.streams import Streams
 from candata.policies import policy
 from candata.simulate import rollout
 from candata.simulate.episodes import add_noise

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-from candata.gap.compare import null_level
-from candata.gap.floor import Floor, spread
-from candata.gap.residuals import Layout
-from candata.gap.robust import NU, weights
-from candata.gap.score import score
+from candata.gap.data.robust_loss import NU, weights
+from candata.gap.fit.comparison import null_level
+from candata.gap.measure.floor import Floor, spread
+from candata.gap.measure.score import score
+from candata.gap.replay.residuals import Layout
 from candata.schema.scene import Noise
 
 E, B, D, R = 3, 6, 3, 10

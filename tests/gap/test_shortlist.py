@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import shortlist
-from candata.gap import stage as staging
-from candata.gap.attribute import attribute
-from candata.gap.candidates import candidate, candidates
-from candata.gap.diagnosis import _problem
-from candata.gap.folds import CrossFit
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.response import Plane
-from candata.gap.screen import respond
-from candata.gap.search import Fit
-from candata.gap.shortlist import (
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate, candidates
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.response import Plane
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening import look as staging
+from candata.gap.screening import shortlist
+from candata.gap.screening.look import typical
+from candata.gap.screening.shortlist import (
     FEW,
     FITTED,
     MOST,
@@ -29,8 +29,8 @@ from candata.gap.shortlist import (
     reconsidered,
     screened,
 )
-from candata.gap.stage import typical
-from candata.gap.streams import Streams
+from candata.gap.screening.signature_screen import respond
+from candata.gap.search.attribution import attribute
 
 
 def test_every_task_is_among_the_few():
@@ -94,7 +94,7 @@ def test_a_second_look_leaves_out_only_what_closes_next_to_nothing_where_it_is_f
     left = float((base[index] - 1).mean())
     size = []
     for share in (-np.inf, 0.1, np.inf):
-        monkeypatch.setattr("candata.gap.shortlist.WORTH", share)
+        monkeypatch.setattr("candata.gap.screening.shortlist.WORTH", share)
         seen = reconsidered(posed, first, base)
         labels = {c.label for c, _ in seen.responses}
         assert labels == {name for name, gain in fitted.items() if gain > share * left} | before
@@ -136,11 +136,11 @@ def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch)
     part, index = brief(posed)
     responses, _ = respond(part, part.nominal, found)
     fitted = {c.label: shortlist.fitted(part, r, base[index])[0] for c, r in responses}
-    monkeypatch.setattr("candata.gap.shortlist.LEAST", 1)
-    monkeypatch.setattr("candata.gap.shortlist.MOST", 1)
+    monkeypatch.setattr("candata.gap.screening.shortlist.LEAST", 1)
+    monkeypatch.setattr("candata.gap.screening.shortlist.MOST", 1)
     first = sorted(fitted, key=lambda name: -fitted[name])[:FITTED]
     for share, wanted in ((0.0, first), (0.999, first[:1])):
-        monkeypatch.setattr("candata.gap.shortlist.ALONE", share)
+        monkeypatch.setattr("candata.gap.screening.shortlist.ALONE", share)
         labels = {c.label for c, _ in screened(posed, found, base).responses}
         assert set(wanted) <= labels
         assert len(labels) <= 1 + len(wanted)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from candata.gap.shrink import gap, trust
+from candata.gap.validation.closure import gap, trust
 from candata.schema.report import Gap
 
 SIZES = st.lists(st.floats(1.5, 20.0), min_size=8, max_size=24).map(np.array)

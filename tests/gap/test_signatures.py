@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import kept, signatures
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residuals import residual
-from candata.gap.signatures import library
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit import signatures
+from candata.gap.fit.signatures import library
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import residual
+from candata.gap.run import cache as kept
+from candata.gap.run.streams import Streams
 from candata.simulate import at_rest, rollout
 
 

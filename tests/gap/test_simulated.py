@@ -9,17 +9,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import attribute as attribution
-from candata.gap import search, shortlist
-from candata.gap.attribute import Attribution, attribute
-from candata.gap.candidates import candidate, first_probes
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer, name_of
-from candata.gap.screen import _places, respond, screening
-from candata.gap.shortlist import SIMULATED, screened
-from candata.gap.stage import look, unheld
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit import problem as search
+from candata.gap.fit.candidates import candidate, first_probes
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer, name_of
+from candata.gap.run.streams import Streams
+from candata.gap.screening import shortlist
+from candata.gap.screening.look import look, unheld
+from candata.gap.screening.shortlist import SIMULATED, screened
+from candata.gap.screening.signature_screen import _places, respond, screening
+from candata.gap.search import attribution
+from candata.gap.search.attribution import Attribution, attribute
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,13 @@ import pytest
 
 from candata.datasets import open_dataset
 from candata.errors import UsageError
-from candata.gap.blind.cases import CASE, CASES, open_labels, read_cases, read_labels, scene_of
+from candata.gap.blind.cases import CASE, CASES, read_cases, scene_of
+from candata.gap.blind.labels import open_labels, read_labels
+from candata.gap.blind.misses import miss
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.rigs.cases import make_rig_cases, null_traits, seal_rig_labels
 from candata.gap.blind.rigs.design import TRAITS, all_traits
-from candata.gap.blind.scoring import miss, score_run
+from candata.gap.blind.scores import score_run
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting

@@ -9,8 +9,9 @@ import pytest
 
 from candata.effects import effect, flatten
 from candata.gap.blind.draws import draw_setting
-from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted, scene_of_rig
+from candata.gap.blind.rigs.causes import CAUSES
 from candata.gap.blind.rigs.matter import CLEAR, worth
+from candata.gap.blind.rigs.planted_world import drawn_cause, planted, scene_of_rig
 from candata.gap.blind.rigs.readings import Planted, ideal, noisy
 from candata.gap.blind.rigs.recording import logs, nominal, sane_rig
 from candata.schema.effect import EffectSetting

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import candata.gap.blind.rigs as rigs
-from candata.gap.blind.rigs.causes import scene_of_rig
 from candata.gap.blind.rigs.design import all_traits, split_trait
 from candata.gap.blind.rigs.motions import rest_command
+from candata.gap.blind.rigs.planted_world import scene_of_rig
 from candata.gap.blind.rigs.player import STATE, STILL, STILL_M_S, World, parts, play, settled
 from candata.gap.blind.rigs.recording import nominal, sane_rig, trimmed
 from candata.schema.scene import SceneFile

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.recordings import recordings
-from candata.gap.spikes import without_spikes
+from candata.gap.data.faults import without_spikes
+from candata.gap.data.recordings import recordings
 from candata.rotation import exp
 from candata.schema.episode import Episode
 

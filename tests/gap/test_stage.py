@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from candata.effects import flatten
-from candata.gap import stage as staging
-from candata.gap.candidates import candidate
-from candata.gap.compare import tied_with
-from candata.gap.diagnosis import _problem
-from candata.gap.folds import CrossFit
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.response import Curve, Plane
-from candata.gap.screen import respond
-from candata.gap.search import Fit
-from candata.gap.stage import narrowed, sharpened, typical
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.comparison import tied_with
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
+from candata.gap.fit.response import Curve, Plane
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening import look as staging
+from candata.gap.screening.look import narrowed, sharpened, typical
+from candata.gap.screening.signature_screen import respond
 from candata.scenes import load_scene
 
 BASE = np.full(8, 2.0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.recordings import recordings
-from candata.gap.starts import ROWS_BEFORE, STILL_ROWS, reach, starts
+from candata.gap.data.recordings import recordings
+from candata.gap.replay.hand_starts import STILL_ROWS
+from candata.gap.replay.starts import ROWS_BEFORE, reach, starts
 from candata.policies import policy
 from candata.rotation import difference, exp, multiply
 from candata.scenes import load_scene

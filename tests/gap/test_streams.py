@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from candata.gap import diagnose
-from candata.gap.candidates import candidates
-from candata.gap.compare import null_level
-from candata.gap.null_test import null_gains
-from candata.gap.own_floor import in_world
-from candata.gap.recordings import recordings
-from candata.gap.shrink import intervals, shares
-from candata.gap.signatures import library
-from candata.gap.stage import look
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidates
+from candata.gap.fit.comparison import null_level
+from candata.gap.fit.signatures import library
+from candata.gap.fit.world_floor import in_world
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import look
+from candata.gap.validation.closure import shares
+from candata.gap.validation.intervals import intervals
+from candata.gap.validation.null_test import null_gains
 from tests.gap.conftest import members, step_problem
 
 

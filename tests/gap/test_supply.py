@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError, UsageError
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay
-from candata.gap.starts import starts
-from candata.gap.untested import library
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.data.testability import library
+from candata.gap.replay.replayer import Replayer, replay
+from candata.gap.replay.starts import starts
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.simulate import at_rest, rollout, with_effects
 from tests.effects.pendulum import excitation, write_pendulum

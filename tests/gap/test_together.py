@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.refine import joint
-from candata.gap.replay import Replayer
-from candata.gap.response import Curve, Plane
-from candata.gap.search import Problem
-from candata.gap.shortlist import brief
-from candata.gap.shrink import shares
-from candata.gap.stage import as_simulated, look
-from candata.gap.streams import Streams
-from candata.gap.together import beside, sums
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.response import Curve, Plane
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import as_simulated, look
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.shortlist import brief
+from candata.gap.screening.sums import beside, sums
+from candata.gap.validation.closure import shares
 
 TRUE = {"joint_dry_friction", "actuation_delay"}
 

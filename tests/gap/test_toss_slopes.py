@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate, typical_size
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.refine import WIDTHS, divided, joint, slopes_of
-from candata.gap.replay import Replayer
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate, typical_size
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.refinement import joint
+from candata.gap.screening.set_slopes import WIDTHS, divided, slopes_of
 
 FRICTION = 0.6
 

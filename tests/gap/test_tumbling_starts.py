@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from candata.gap.recordings import Recordings
-from candata.gap.starts import reach, starts
+from candata.gap.data.recordings import Recordings
+from candata.gap.replay.starts import reach, starts
 from candata.rotation import difference, normalise
 from candata.scenes import load_scene
 from candata.simulate import rollout

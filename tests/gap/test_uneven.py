@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import attribute, uneven
-from candata.gap.candidates import candidate, local_candidates
-from candata.gap.diagnosis import _problem
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.stage import look
-from candata.gap.streams import Streams
+from candata.gap.data.recordings import recordings
+from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.preparation import _problem
+from candata.gap.replay.replayer import Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.screening.look import look
+from candata.gap.search import attribution, episode_counts
 
 #: What most episodes were recorded with, and the few others: as if an object had slipped there.
 MOST, OTHERS = 0.02, 0.08
@@ -41,14 +41,14 @@ def test_what_explains_two_of_three_episodes_comes_before_what_explains_half_of_
         score=SimpleNamespace(loss=lambda name: losses[name]),
     )
     assert losses["half"].mean() < losses["two"].mean()
-    ((left, point, _),) = uneven._least(problem, ["half", "two"], 1)
+    ((left, point, _),) = episode_counts._least(problem, ["half", "two"], 1)
     assert (point, left) == ("two", pytest.approx(np.log(6) / 3))
 
 
 def test_the_value_that_explains_most_episodes_is_found(torn, monkeypatch):
     problem, stage = torn
-    monkeypatch.setattr(uneven, "_leaves", lambda *a: False)
-    best, world = uneven.recentred(problem, stage, None)
+    monkeypatch.setattr(episode_counts, "_leaves", lambda *a: False)
+    best, world = episode_counts.recentred(problem, stage, None)
     assert best.labels == ("actuation_delay",)
     assert best.members[0][1][0] == pytest.approx(MOST, rel=0.15)
     assert world.score is not problem.score, "in units of the floor of its own world"
@@ -65,27 +65,27 @@ def test_an_episode_has_no_say_in_the_value_that_it_is_held_out_by(torn):
     logs = {MOST: np.zeros(12), OTHERS: np.full(12, 0.1)}
     logs[OTHERS][problem.parts[0]] = -3.0
     posed = replace(problem, score=SimpleNamespace(loss=lambda name: np.exp(logs[name])))
-    fit = uneven._fitted(posed, problem, [(0.0, p, p[1][0]) for p in reversed(points)])
+    fit = episode_counts._fitted(posed, problem, [(0.0, p, p[1][0]) for p in reversed(points)])
     assert fit.members == (points[1],)
     assert fit.evidence.points[:, 0].tolist() == [MOST, OTHERS, OTHERS, OTHERS]
 
 
 def test_a_world_that_does_not_foretell_what_is_left_is_none(torn):
     problem, stage = torn
-    assert uneven.recentred(problem, stage, None) is None
+    assert episode_counts.recentred(problem, stage, None) is None
 
 
 def test_what_foretells_no_more_surely_than_another_effect_is_none(torn, monkeypatch):
     problem, stage = torn
     other = next(f for f in stage.fits if f.labels != ("actuation_delay",))
-    monkeypatch.setattr(uneven, "_leaves", lambda *a: False)
-    best, _ = uneven._counted(problem, stage, other)
+    monkeypatch.setattr(episode_counts, "_leaves", lambda *a: False)
+    best, _ = episode_counts._counted(problem, stage, other)
     assert best.labels == ("actuation_delay",)
-    assert uneven._counted(problem, stage, best) is None, "no better value than the best"
-    monkeypatch.setattr(uneven, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
-    assert uneven._counted(problem, stage, other) is None
-    assert uneven._counted(problem, stage, None) is None, "nor than the same one, where nothing was chosen"
-    again, _ = uneven._counted(problem, stage, stage.fits[0])
+    assert episode_counts._counted(problem, stage, best) is None, "no better value than the best"
+    monkeypatch.setattr(episode_counts, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
+    assert episode_counts._counted(problem, stage, other) is None
+    assert episode_counts._counted(problem, stage, None) is None, "nor than the same one, where nothing was chosen"
+    again, _ = episode_counts._counted(problem, stage, stage.fits[0])
     assert again.members == best.members, "what was chosen needs no more than a better value that leaves no gap"
 
 
@@ -100,8 +100,8 @@ def delayed(arm, arm_episodes, planted):
 
 def test_where_counting_finds_none_the_likeliest_value_in_its_own_world_is_found(delayed, monkeypatch):
     problem, stage, other = delayed
-    monkeypatch.setattr(uneven, "_counted", lambda *a: None)
-    best, world = uneven.recentred(problem, stage, other)
+    monkeypatch.setattr(episode_counts, "_counted", lambda *a: None)
+    best, world = episode_counts.recentred(problem, stage, other)
     assert best.labels == ("actuation_delay",)
     assert best.members[0][1][0] == pytest.approx(MOST, rel=0.1)
     assert world.score is not problem.score, "in units of the floor of its own world"
@@ -110,29 +110,31 @@ def test_where_counting_finds_none_the_likeliest_value_in_its_own_world_is_found
 
 def test_where_each_value_leaves_a_gap_or_foretells_no_more_there_is_none_likeliest(delayed, torn, monkeypatch):
     problem, stage, other = delayed
-    assert uneven._likeliest(*torn, None) is None, "a third of the episodes have another delay"
-    assert uneven._likeliest(problem, replace(stage, fits=()), other) is None
-    monkeypatch.setattr(uneven, "_foretells_more", lambda *a: False)
-    assert uneven._likeliest(problem, stage, other) is None
-    monkeypatch.setattr(uneven, "_foretells_more", lambda *a: True)
-    assert uneven._likeliest(problem, stage, other)
+    assert episode_counts._likeliest(*torn, None) is None, "a third of the episodes have another delay"
+    assert episode_counts._likeliest(problem, replace(stage, fits=()), other) is None
+    monkeypatch.setattr(episode_counts, "_foretells_more", lambda *a: False)
+    assert episode_counts._likeliest(problem, stage, other) is None
+    monkeypatch.setattr(episode_counts, "_foretells_more", lambda *a: True)
+    assert episode_counts._likeliest(problem, stage, other)
     # What a few episodes promise all of them must keep.
-    monkeypatch.setattr(uneven, "_leaves", lambda world, point: len(world.recs) == len(problem.recs))
-    assert uneven._likeliest(problem, stage, other) is None
+    monkeypatch.setattr(episode_counts, "_leaves", lambda world, point: len(world.recs) == len(problem.recs))
+    assert episode_counts._likeliest(problem, stage, other) is None
 
 
 def test_where_no_value_asked_leaves_no_gap_the_likeliest_one_is_climbed_from(delayed, monkeypatch):
     problem, stage, other = delayed
     c = stage.fits[0].members[0][0]
     assert c.label == "actuation_delay"
-    step = uneven._step(c, np.array([MOST]), problem)
+    step = episode_counts._step(c, np.array([MOST]), problem)
     far = (c, np.array([MOST + 4.3 * step]))
-    _, near = uneven._likelier(problem, far, (2.0,))
+    _, near = episode_counts._likelier(problem, far, (2.0,))
     assert abs(near[0] - MOST) < 1.5 * step
-    real = uneven._least
-    monkeypatch.setattr(uneven, "_leaves", lambda world, point: abs(point[1][0] - MOST) > 1.5 * step)
-    monkeypatch.setattr(uneven, "_least", lambda posed, points, count: real(posed, [far] if count > 1 else points, 1))
-    best, _ = uneven._likeliest(problem, stage, other)
+    real = episode_counts._least
+    monkeypatch.setattr(episode_counts, "_leaves", lambda world, point: abs(point[1][0] - MOST) > 1.5 * step)
+    monkeypatch.setattr(
+        episode_counts, "_least", lambda posed, points, count: real(posed, [far] if count > 1 else points, 1)
+    )
+    best, _ = episode_counts._likeliest(problem, stage, other)
     assert best.members[0][1][0] == pytest.approx(MOST, rel=0.1)
 
 
@@ -150,9 +152,9 @@ def only_delay_fits(world, point):
 
 def test_in_a_chaotic_world_one_that_leaves_no_gap_alone_stands_for_a_set(pair, monkeypatch):
     problem, found = pair
-    monkeypatch.setattr(uneven, "null_level", lambda *a: 1.4)
-    monkeypatch.setattr(uneven, "_leaves", only_delay_fits)
-    best, world = uneven.alone(problem, found, problem.score)
+    monkeypatch.setattr(episode_counts, "null_level", lambda *a: 1.4)
+    monkeypatch.setattr(episode_counts, "_leaves", only_delay_fits)
+    best, world = episode_counts.alone(problem, found, problem.score)
     assert best.members == found.members[1:]
     assert world.score is not problem.score, "in units of the floor of its own world"
     assert (best.evidence.points == MOST).all()
@@ -160,31 +162,31 @@ def test_in_a_chaotic_world_one_that_leaves_no_gap_alone_stands_for_a_set(pair, 
     def surely(world, members):
         return np.full(len(problem.recs), float(len(members))) + 0.01 * np.arange(len(problem.recs))
 
-    monkeypatch.setattr(uneven, "_foretold", surely)
-    assert uneven.alone(problem, found, problem.score) is None, "the set foretells the recording more surely"
+    monkeypatch.setattr(episode_counts, "_foretold", surely)
+    assert episode_counts.alone(problem, found, problem.score) is None, "the set foretells the recording more surely"
 
 
 def test_where_contact_is_no_chaos_or_one_alone_leaves_a_gap_a_set_stands(pair, monkeypatch, arm):
     problem, found = pair
-    monkeypatch.setattr(uneven, "_leaves", only_delay_fits)
-    assert uneven.alone(problem, found, problem.score) is None, "null sets reach no more than usual"
-    monkeypatch.setattr(uneven, "null_level", lambda *a: 1.4)
+    monkeypatch.setattr(episode_counts, "_leaves", only_delay_fits)
+    assert episode_counts.alone(problem, found, problem.score) is None, "null sets reach no more than usual"
+    monkeypatch.setattr(episode_counts, "null_level", lambda *a: 1.4)
     measured = replace(problem, measured=found.members[:1])
-    assert uneven.alone(measured, found, problem.score) is None
-    assert uneven.alone(problem, replace(found, members=found.members[1:]), problem.score) is None
+    assert episode_counts.alone(measured, found, problem.score) is None
+    assert episode_counts.alone(problem, replace(found, members=found.members[1:]), problem.score) is None
     choice = (candidate("friction_cone", arm), np.array([1.0]))
     vector = (candidate("joint_offset", arm), np.repeat(MOST, 2))
-    assert uneven.alone(problem, replace(found, members=(choice, vector)), problem.score) is None
-    monkeypatch.setattr(uneven, "_leaves", lambda *a: True)
-    assert uneven.alone(problem, found, problem.score) is None
+    assert episode_counts.alone(problem, replace(found, members=(choice, vector)), problem.score) is None
+    monkeypatch.setattr(episode_counts, "_leaves", lambda *a: True)
+    assert episode_counts.alone(problem, found, problem.score) is None
 
 
 def test_vectors_and_choices_are_not_tried(torn, arm):
     problem, stage = torn
     ((_, u),) = stage.fits[0].members
     vector = replace(stage.fits[0], members=((candidate("joint_offset", arm), np.repeat(u, 2)),))
-    assert uneven.recentred(problem, replace(stage, fits=(vector,)), None) is None
-    assert uneven.recentred(problem, replace(stage, fits=()), None) is None
+    assert episode_counts.recentred(problem, replace(stage, fits=(vector,)), None) is None
+    assert episode_counts.recentred(problem, replace(stage, fits=()), None) is None
 
 
 def test_where_one_element_was_found_all_of_them_are_tried_too(torn, arm):
@@ -192,9 +194,9 @@ def test_where_one_element_was_found_all_of_them_are_tried_too(torn, arm):
     problem, stage = torn
     whole = stage.fits[0].members[0]
     (elbow,) = [c for c in local_candidates(whole[0], arm) if c.element == "elbow"]
-    found = uneven._with_all(problem, [(elbow, np.array([0.03]))])
+    found = episode_counts._with_all(problem, [(elbow, np.array([0.03]))])
     assert {(c.element, u[0]) for c, u in found} == {(None, 0.03), ("elbow", 0.03)}
-    both = uneven._with_all(problem, [whole, (elbow, np.array([0.03]))])
+    both = episode_counts._with_all(problem, [whole, (elbow, np.array([0.03]))])
     assert {(c.element, u[0]) for c, u in both} == {(None, whole[1][0]), ("elbow", 0.03)}, "each effect once, as found"
 
 
@@ -202,14 +204,14 @@ def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     problem, stage = torn
     best = next(f for f in stage.fits if f.members[0][0].label == "actuation_delay")
     c, u = best.members[0]
-    values = [v[0] for _, v in uneven._values(c, u, problem)]
-    assert len(values) == uneven.VALUES
+    values = [v[0] for _, v in episode_counts._values(c, u, problem)]
+    assert len(values) == episode_counts.VALUES
     assert values == sorted(values)
     assert values[0] > 0
     # No probe lies below none.
     beyond = replace(best, members=((c, c.neutral - 0.01),))
-    assert uneven._values(*beyond.members[0], problem) == []
-    assert uneven.recentred(problem, replace(stage, fits=(beyond,)), None) is None
+    assert episode_counts._values(*beyond.members[0], problem) == []
+    assert episode_counts.recentred(problem, replace(stage, fits=(beyond,)), None) is None
 
 
 @pytest.mark.parametrize(
@@ -222,15 +224,15 @@ def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     ],
 )
 def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatch, left, floors, remains, asked):
-    found = attribute.Attribution("first look", "a set", ("a set",), "its floor", remains)
-    monkeypatch.setattr(attribute, "look", lambda *a: "first look")
-    monkeypatch.setattr(attribute, "_search", lambda *a: found)
-    monkeypatch.setattr(attribute, "_left", lambda *a: (left, floors))
-    monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
-    monkeypatch.setattr(attribute, "alone", lambda *a: None)
-    monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
+    found = attribution.Attribution("first look", "a set", ("a set",), "its floor", remains)
+    monkeypatch.setattr(attribution, "look", lambda *a: "first look")
+    monkeypatch.setattr(attribution, "_search", lambda *a: found)
+    monkeypatch.setattr(attribution, "_left", lambda *a: (left, floors))
+    monkeypatch.setattr(attribution, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
+    monkeypatch.setattr(attribution, "alone", lambda *a: None)
+    monkeypatch.setattr(attribution, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
-    after = attribute.attribute(problem)
+    after = attribution.attribute(problem)
     if not asked:
         assert after == replace(found, doubt=after.doubt)
         return
@@ -244,13 +246,13 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
 
 @pytest.mark.parametrize("tied", [("a set",), ("a set", "another")])
 def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypatch, tied):
-    found = attribute.Attribution("first look", "a set", tied, "its floor", False)
-    monkeypatch.setattr(attribute, "look", lambda *a: "first look")
-    monkeypatch.setattr(attribute, "_search", lambda *a: found)
-    monkeypatch.setattr(attribute, "_left", lambda *a: (0.1, 0.3))
+    found = attribution.Attribution("first look", "a set", tied, "its floor", False)
+    monkeypatch.setattr(attribution, "look", lambda *a: "first look")
+    monkeypatch.setattr(attribution, "_search", lambda *a: found)
+    monkeypatch.setattr(attribution, "_left", lambda *a: (0.1, 0.3))
     asked = []
-    monkeypatch.setattr(attribute, "alone", lambda problem, *a: asked.append(a))
-    monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
+    monkeypatch.setattr(attribution, "alone", lambda problem, *a: asked.append(a))
+    monkeypatch.setattr(attribution, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
-    assert attribute.attribute(problem).chosen == "a set"
+    assert attribution.attribute(problem).chosen == "a set"
     assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])

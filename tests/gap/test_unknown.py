@@ -9,20 +9,21 @@ import pytest
 import yaml
 
 from candata.effects._residual_terms import OBJECT_TERMS
-from candata.gap import mending, unknown
-from candata.gap.floor import floor
-from candata.gap.folds import folds
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay_all
-from candata.gap.residual_force import residual_force
-from candata.gap.residuals import layout, residual
-from candata.gap.score import score
-from candata.gap.search import Problem
-from candata.gap.starts import starts
-from candata.gap.stopgap import Stopgap
-from candata.gap.streams import Streams
-from candata.gap.suspects import suspects
-from candata.gap.unknown import describe
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.fit.folds import folds
+from candata.gap.fit.problem import Problem
+from candata.gap.force import remedy
+from candata.gap.force.residual_force import residual_force
+from candata.gap.force.stopgap import Stopgap
+from candata.gap.force.suspects import suspects
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import score
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import layout, residual
+from candata.gap.replay.starts import starts
+from candata.gap.run.streams import Streams
+from candata.gap.verdict import unknown_cause
+from candata.gap.verdict.unknown_cause import describe
 from candata.reports.files import STOPGAP, write_diagnosis
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
@@ -126,7 +127,7 @@ def test_where_a_force_mends_nothing_the_symptoms_say_on_what_it_acts(
     arm, arm_episodes, hiding, monkeypatch, little, channel, place
 ):
     """No fingertip stands out: then nothing is described."""
-    monkeypatch.setattr(unknown, "LITTLE", little)
+    monkeypatch.setattr(unknown_cause, "LITTLE", little)
     cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
     worst = Symptom(channel=channel, element="elbow", ratio=9.0, p=0.001)
     found = described(arm, recordings(arm, arm_episodes(hiding(cause))), where=(worst,))
@@ -336,12 +337,12 @@ def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
 
 def played(monkeypatch, closes: dict[tuple[str, ...], float], others=()):
     """The function that chooses among suspects of which groups close what is given, by their names."""
-    monkeypatch.setattr(mending, "otherwise", lambda suspect, parts: list(others))
+    monkeypatch.setattr(remedy, "otherwise", lambda suspect, parts: list(others))
 
     def play(some):
         return SimpleNamespace(suspects=tuple(some), closed=closes[tuple(s.name for s in some)])
 
-    return lambda found: [s.name for s in mending._best(play, found, []).suspects]
+    return lambda found: [s.name for s in remedy._best(play, found, []).suspects]
 
 
 def suspect(place: str, name: str, gain: float = 1.0):
@@ -382,6 +383,6 @@ def test_what_a_joints_force_also_depends_on_is_said_in_the_same_clause():
     found = SimpleNamespace(terms=[0], coefficients=np.array([[-0.02]]))
     drag = SimpleNamespace(place="joint", found=found, names=(("velocity",),), wave=1.0, depends_on=("velocity",))
     both = SimpleNamespace(**{**vars(drag), "depends_on": ("velocity", "position", "constant")})
-    alone, more = (unknown._how(SimpleNamespace(suspects=(s,))) for s in (drag, both))
+    alone, more = (unknown_cause._how(SimpleNamespace(suspects=(s,))) for s in (drag, both))
     assert alone == " against its motion, growing with speed"
     assert more == f"{alone}, depending also on position"

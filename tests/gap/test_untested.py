@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from candata.errors import UnknownNameError, UsageError
-from candata.gap.mismatch import checked
-from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
-from candata.gap.unseen import NOTE, widened
-from candata.gap.untested import library, untested, untested_notes
+from candata.gap.data.recordings import recordings
+from candata.gap.data.testability import library, untested, untested_notes
+from candata.gap.mismatch.check import checked
+from candata.gap.mismatch.poses import NOTE, widened
+from candata.gap.replay.replayer import Replayer
 from candata.schema.episode import Episode
 
 FORCES = ("fingertip_force", "fingertip_contact", "contact")

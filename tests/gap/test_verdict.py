@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from candata.gap.verdict import class_of, unknown, verdict
+from candata.gap.verdict.verdict import class_of, unknown, verdict
 from candata.schema.report import Gap, Symptom
 
 SYMPTOMS = (

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.folds import CrossFit
-from candata.gap.search import Fit
-from candata.gap.worth import is_better
+from candata.gap.fit.acceptance import is_better
+from candata.gap.fit.fits import Fit
+from candata.gap.fit.folds import CrossFit
 from tests.gap.conftest import members
 
 EPISODES = 12

@@ -200,7 +200,7 @@ def _read_motions(folder: Path) -> object:
 
 def _kept(folder: Path, rows: int) -> None:
     """Write arrays of a diagnosis."""
-    from candata.gap import kept
+    from candata.gap.run import cache as kept
 
     kept.keep(folder / "a.npz", raw=np.arange(6.0 * rows).reshape(2, 3, rows), flag=np.array([True, False]))
 
@@ -208,7 +208,7 @@ def _kept(folder: Path, rows: int) -> None:
 def _read_kept(folder: Path) -> object:
     """Return what was kept of a diagnosis, or that it is a miss."""
     from candata.errors import DataError
-    from candata.gap import kept
+    from candata.gap.run import cache as kept
 
     arrays = kept.read(folder / "a.npz")
     if arrays is None:

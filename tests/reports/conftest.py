@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from candata.gap.evidence import (
+from candata.gap.measure.symptoms import HeatMap
+from candata.gap.verdict.figures import (
     Collinearity,
     Course,
     Element,
@@ -21,7 +22,6 @@ from candata.gap.evidence import (
     EpisodeLosses,
     Evidence,
     Example,
-    HeatMap,
     Range,
     Trace,
 )

@@ -14,7 +14,7 @@ import yaml
 
 from candata.errors import SetupError
 from candata.gap import Diagnosis
-from candata.gap.evidence import Evidence
+from candata.gap.verdict.figures import Evidence
 from candata.reports import effects_text, write_diagnosis
 from candata.reports.mjcf_lines import mjcf_lines
 from candata.scenes import load_scene

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from candata import reports
-from candata.gap.evidence import Elements, Evidence
-from candata.gap.exhibits import POINTS
+from candata.gap.verdict.exhibits import POINTS
+from candata.gap.verdict.figures import Elements, Evidence
 from candata.reports import figures, outcome, words
 from candata.reports.heat import heat_map
 from candata.schema.record import Record

@@ -20,13 +20,13 @@ from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import Bed, make_bed
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import text_of
-from candata.gap.blind.running import Place, finished, spread
+from candata.gap.blind.runs import Place, finished, spread
 from candata.gap.blind.signatures import Signature, least_squares, signatures
-from candata.gap.candidates import Candidate, candidate, probes
-from candata.gap.folds import folds, rest
-from candata.gap.replay import EffectSet
-from candata.gap.robust import rho
-from candata.gap.score import Compact
+from candata.gap.data.robust_loss import rho
+from candata.gap.fit.candidates import Candidate, candidate, probes
+from candata.gap.fit.folds import folds, rest
+from candata.gap.measure.score import Compact
+from candata.gap.replay.replayer import EffectSet
 from candata.scenes import Scene
 from candata.schema.bench import CaseResult, CaseResults, Label
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, Gap, NamedEffect, Report, UnknownCause

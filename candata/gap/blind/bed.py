@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
-from candata.gap.floor import floor
-from candata.gap.noise import sensor_noise
-from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import EffectSet, Replayer, replay_all
-from candata.gap.residuals import Layout, layout, residual
-from candata.gap.score import Compact, Score, score
-from candata.gap.starts import Starts, starts
+from candata.gap.data.noise import sensor_noise
+from candata.gap.data.recordings import Recordings, recordings
+from candata.gap.measure.floor import floor
+from candata.gap.measure.score import Compact, Score, score
+from candata.gap.replay.replayer import EffectSet, Replayer, replay_all
+from candata.gap.replay.residuals import Layout, layout, residual
+from candata.gap.replay.starts import Starts, starts
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Blind cases on disk: labels sealed first, then a folder a case that tells nothing of its label.
+"""Blind cases on disk: a folder a case that tells nothing of its label.
 
 A case is a folder that anybody can read, and make: a candata dataset with a `case.json` beside its files,
 
@@ -11,143 +11,38 @@ whose texts are `Label` records. `sealed` is sha256 over the bytes of the text a
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from mujoco.batch import Batch
 
 from candata.datasets import append, create_dataset
 from candata.datasets.drafts import draft_beside, place
-from candata.errors import DataError, UsageError, Where
-from candata.gap.blind.draws import draw_labels
-from candata.gap.blind.outside import alter_with
-from candata.gap.conclusion import lasting
-from candata.gap.noise import scaled_noise
+from candata.effects import Forces
+from candata.errors import UsageError, Where
+from candata.gap.blind.labels import parsed
+from candata.gap.blind.outside_causes import CAUSES
+from candata.gap.data.noise import scaled_noise
+from candata.gap.verdict.findings import lasting
 from candata.scenes import Scene, load_scene
-from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
+from candata.schema.bench import CaseFile, Label, LabelsFile, OutsideCause
 from candata.schema.episode import Episode
-from candata.schema.json_text import parse_json, read_json
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import Lineage
 from candata.simulate.crew import Crew, alone
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.jobs import possible_policies
-from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
+from candata.simulate.loop import Alter
+from candata.simulate.seal import commitment
+from candata.simulate.world import Filter, Worlds
 
-CASE, LABELS, CASES = "case.json", "sealed.json", "cases"
-#: Salt of cases that are kept to train on: no secret, so that the same command draws the same cases anywhere.
-TRAINING_SALT = hashlib.sha256(b"candata training bench").hexdigest()
+CASE, CASES = "case.json", "cases"
 Told = Callable[[str], None]
-
-
-def seal_labels(
-    out: Path,
-    scene: Scene,
-    counts: dict[Kind, int],
-    *,
-    seed: int,
-    episodes: int,
-    duration_s: float = 3.2,
-    only: Sequence[str] = (),
-    live: Callable[[], Sequence[str]] = lambda: (),
-    noise: str = "declared",
-    salt: str | None = None,
-) -> LabelsFile:
-    """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the run.
-    scene : Scene
-        The nominal scene.
-    counts : dict of Kind to int
-        Cases of each kind.
-    seed, episodes : int
-        Seed of the commands (and, with the salt, of the draw); episodes of each case.
-    duration_s : float
-        Length of an episode.
-    only : sequence of str
-        Effects that were asked for; all, when empty.
-    live : callable
-        Returns the effects to draw from; asked for a fresh draw alone.
-    noise : str
-        What diagnoses are told of the sensors' noise, as in `draw_labels`.
-    salt : str, optional
-        The secret, hex of 32 bytes; random by default.
-
-    Raises
-    ------
-    UsageError
-        When the run that stands there was asked for something else, or when the scene declares no noise that could be
-        wrong or withheld.
-    """
-    if noise != "declared" and scene.file.noise is None:
-        raise UsageError(
-            f"scene {scene.name} declares no noise",
-            expected="`noise` in the scene file",
-            found=f"cases with noise that is {noise}",
-            fix="leave --noise out, or declare the sensors' noise",
-        )
-    asked: dict[str, str | int | float] = {
-        "scene": scene.name,
-        "scene_digest": scene.digest,
-        "seed": seed,
-        "episodes": episodes,
-        "duration_s": duration_s,
-        "only": ",".join(only),
-        **{f"count_{k}": n for k, n in counts.items()},
-        **({} if noise == "declared" else {"noise": noise}),
-    }
-    path = out / LABELS
-    if not path.exists():
-        secret = salt or new_salt()
-        rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
-        drawn = draw_labels(scene, counts, rng, live() or only, noise)
-        write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
-    return standing_labels(out, asked, salt)
-
-
-def standing_labels(out: Path, asked: dict[str, str | int | float], salt: str | None = None) -> LabelsFile:
-    """Return the labels that stand in the folder of a run.
-
-    Raises
-    ------
-    UsageError
-        When the run that stands there was asked for something else, or drawn from another salt than a given one.
-    """
-    found = read_labels(out / LABELS)
-    if salt not in (None, found.salt):
-        raise UsageError(
-            "the folder holds cases that were drawn from another salt",
-            expected="no cases, or those of the same command",
-            found="other cases",
-            where=Where(path=str(out)),
-            fix="choose another folder",
-        )
-    other = [k for k in {*asked, *found.asked} if asked.get(k) != found.asked.get(k)]
-    if other:
-        raise UsageError(
-            "the folder holds a run that was asked for something else",
-            expected=", ".join(f"{k} {found.asked.get(k)}" for k in sorted(other)),
-            found=", ".join(f"{k} {asked.get(k)}" for k in sorted(other)),
-            where=Where(path=str(out)),
-            fix="repeat the first command, or choose another --out",
-        )
-    return found
-
-
-def read_labels(path: Path) -> LabelsFile:
-    """Return the record of a labels file.
-
-    Raises
-    ------
-    UsageError
-        When the file is missing or is no labels file.
-    """
-    return LabelsFile.parse(_json(path), path)
 
 
 def missing_cases(out: Path, sealed: LabelsFile) -> dict[str, str]:
@@ -260,7 +155,7 @@ def read_cases(folder: Path) -> dict[Path, CaseFile]:
     found = sorted(path.parent for path in folder.glob(f"*/{CASE}") if not path.parent.name.startswith("."))
     if not found:
         raise UsageError("no cases", expected=f"folders with a dataset and a {CASE}", where=Where(path=str(folder)))
-    cases = {path: CaseFile.parse(_json(path / CASE), path / CASE) for path in found}
+    cases = {path: CaseFile.parse(parsed(path / CASE), path / CASE) for path in found}
     for path, case in cases.items():
         if case.name != path.name:
             raise UsageError(
@@ -277,33 +172,23 @@ def scene_of(folder: Path, case: CaseFile) -> str:
     return str((folder / case.scene).resolve()) if Path(case.scene).suffix in (".yaml", ".yml") else case.scene
 
 
-def open_labels(cases: dict[Path, CaseFile], sealed: LabelsFile) -> dict[str, Label]:
-    """Return the label of each case, each checked against the hash that its case carries.
-
-    Raises
-    ------
-    DataError
-        When a case has no label, or a label is not the one that was sealed.
-    """
-    out = {}
-    for folder, case in cases.items():
-        text = sealed.labels.get(case.name)
-        if text is None:
-            raise DataError("a case has no label", expected=case.name, where=Where(path=str(folder)))
-        if commitment(text, sealed.salt) != case.sealed:
-            raise DataError(
-                f"the label of {case.name} is not the one that was sealed",
-                expected=f"sealed {case.sealed[:12]}",
-                found=f"sealed {commitment(text, sealed.salt)[:12]}",
-                where=Where(path=str(folder)),
-                fix="give the labels that were written beside these cases",
-            )
-        out[case.name] = Label.parse(parse_json(text), case.name)
-    return out
+def alter_with(scene: Scene, outside: OutsideCause | None) -> Alter | None:
+    """Return what adds an outside cause to the worlds of a batch; None for none."""
+    return None if outside is None else partial(_altered, scene, outside)
 
 
-def _json(path: Path) -> object:
-    """Return the content of a JSON file."""
-    if not path.is_file():
-        raise UsageError(f"no file {path.name}", where=Where(path=str(path)))
-    return read_json(path)
+def _altered(scene: Scene, outside: OutsideCause, batch: Batch, worlds: Worlds) -> Worlds:
+    """Return the worlds with the cause's filter behind those of the effects."""
+    cause = CAUSES[outside.name]
+    own = Filter(cause.apply, cause.start(scene, outside, batch))
+    if cause.kind == "command":
+        return replace(worlds, command=(*worlds.command, own))
+    if cause.kind == "force":
+        return replace(worlds, force=(*worlds.force, replace(own, apply=partial(_added, cause.apply))))
+    return replace(worlds, reading=(*worlds.reading, own))
+
+
+def _added(apply: Callable[[Any, Any], tuple[Any, Any]], state: Any, x: Forces) -> tuple[Any, Forces]:
+    """Return the state and the forces with the cause's added to them."""
+    state, force = apply(state, x.added)
+    return state, x._replace(added=force)

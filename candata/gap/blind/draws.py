@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import Parameter, active, effect, effect_names, effects_with, parameters_on, setting
-from candata.gap.blind.outside import draw_outside, possible_outside
+from candata.errors import UnknownNameError
+from candata.gap.blind.outside_causes import CAUSES
 from candata.scenes import Scene
-from candata.schema.bench import Kind, Label, NoiseCase
+from candata.schema.bench import Kind, Label, NoiseCase, OutsideCause
 from candata.schema.effect import EffectSetting
 from candata.simulate.seal import draw_parameter
 
@@ -247,3 +248,22 @@ _MAKERS: dict[Kind, Callable[..., Label]] = {
     "background": _background,
     "solver": _solver,
 }
+
+
+def possible_outside(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the outside causes that can act in the scene."""
+    return tuple(name for name, cause in CAUSES.items() if cause.possible(scene))
+
+
+def draw_outside(name: str, scene: Scene, rng: np.random.Generator) -> OutsideCause:
+    """Return an outside cause with its place and its numbers.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is none of that name.
+    """
+    if name not in CAUSES:
+        raise UnknownNameError("outside cause", name, CAUSES)
+    element, values = CAUSES[name].draw(scene, rng)
+    return OutsideCause(name=name, acts_on=CAUSES[name].acts_on, element=element, values=values)

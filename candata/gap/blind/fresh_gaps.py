@@ -14,13 +14,13 @@ from candata.errors import CandataError
 from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import Outcome
-from candata.gap.blind.running import Place, finished, spread
-from candata.gap.edit import FEW_REPLICAS, replayed
-from candata.gap.effort_unit import with_effort_unit
-from candata.gap.recordings import recordings
-from candata.gap.replay import EffectSet, Replayer
-from candata.gap.shrink import gap
-from candata.gap.streams import Streams
+from candata.gap.blind.runs import Place, finished, spread
+from candata.gap.data.recordings import recordings
+from candata.gap.replay.effort_unit import with_effort_unit
+from candata.gap.replay.replayer import EffectSet, Replayer
+from candata.gap.run.streams import Streams
+from candata.gap.validation.closure import gap
+from candata.gap.verdict.edit_test import FEW_REPLICAS, replayed
 from candata.scenes import load_scene
 from candata.schema.bench import FreshGap, Label, LabelsFile
 from candata.schema.effect import EffectSetting, EffectsFile

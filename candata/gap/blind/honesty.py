@@ -25,7 +25,6 @@ OVERCLAIMED = 2.0
 RESAMPLES = 2000
 #: Target of the coverage of 90 % intervals [%].
 COVERAGE = (85.0, 95.0)
-
 #: What these rows say, by a part of their names.
 MEANINGS = {
     "error over the deviation": "|found - true| / |true - model's own|: 100 % for whoever leaves the model as it is",

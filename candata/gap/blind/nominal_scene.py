@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from candata.gap.conclusion import lasting
+from candata.gap.verdict.findings import lasting
 from candata.scenes import Scene, load_scene
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError
 from candata.gap.blind.draws import draw_setting, possible_effects
-from candata.gap.lagged import drives
+from candata.gap.data.lag import drives
 from candata.policies import command_limits
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting

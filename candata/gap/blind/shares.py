@@ -12,8 +12,8 @@ from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import make_bed
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.outcomes import text_of
-from candata.gap.blind.running import Place, finished, spread
-from candata.gap.score import Compact
+from candata.gap.blind.runs import Place, finished, spread
+from candata.gap.measure.score import Compact
 from candata.scenes import Scene
 from candata.schema.bench import Label, Shares
 from candata.simulate.crew import Crew, alone

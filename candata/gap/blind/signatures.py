@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.blind.bed import Bed
-from candata.gap.candidates import Candidate, candidates, probes
-from candata.gap.robust import weights
-from candata.gap.score import Compact, Score
+from candata.gap.data.robust_loss import weights
+from candata.gap.fit.candidates import Candidate, candidates, probes
+from candata.gap.measure.score import Compact, Score
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
-from candata.gap.search import Members
 from candata.plugins import load, names
 
 Move = Callable[[View], Iterator[Members]]

@@ -8,15 +8,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate
-from candata.gap.local import promising
-from candata.gap.response import Plane
-from candata.gap.score import Compact
-from candata.gap.screen import respond, slope_of
-from candata.gap.search import Fit, Members, Problem
-from candata.gap.stage import unheld
-from candata.gap.together import WITHIN, Responses, Sum, beside
-from candata.gap.worth import is_full
+from candata.gap.fit.acceptance import is_full
+from candata.gap.fit.candidates import Candidate
+from candata.gap.fit.fits import Fit, Members
+from candata.gap.fit.problem import Problem
+from candata.gap.fit.response import Plane
+from candata.gap.measure.score import Compact
+from candata.gap.screening.elements import promising
+from candata.gap.screening.look import unheld
+from candata.gap.screening.signature_screen import respond, slope_of
+from candata.gap.screening.sums import WITHIN, Responses, Sum, beside
 
 Index = NDArray[np.int64]
 

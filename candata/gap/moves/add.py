@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
-from candata.gap.search import Members
 
 #: Proposals of a set, those that signatures promise most of first; of one effect at most two variants.
 EACH, VARIANTS = 8, 2

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View, free
-from candata.gap.search import Members
 
 #: Proposals in the place of each member.
 EACH = 3

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
-from candata.gap.search import Members
-from candata.gap.shortlist import brief
-from candata.gap.together import sums
+from candata.gap.screening.shortlist import brief
+from candata.gap.screening.sums import sums
 
 #: Sets of each size, those that leave least first.
 EACH = 4

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from candata.gap.candidates import candidate, local_candidates
+from candata.gap.fit.candidates import candidate, local_candidates
+from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View, free
-from candata.gap.search import Members
 
 
 def propose(view: View) -> Iterator[Members]:

@@ -10,9 +10,11 @@ import numpy as np
 
 from candata.datasets import append, create_dataset
 from candata.datasets.drafts import draft_beside, place
-from candata.gap.blind.cases import CASE, CASES, LABELS, missing_cases, standing_labels
-from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
+from candata.gap.blind.cases import CASE, CASES, missing_cases
+from candata.gap.blind.labels import LABELS, standing_labels
+from candata.gap.blind.rigs.causes import CAUSES
 from candata.gap.blind.rigs.design import all_traits
+from candata.gap.blind.rigs.planted_world import drawn_cause, planted
 from candata.gap.blind.rigs.readings import Planted, episode_reading, episodes, ideal, noisy
 from candata.gap.blind.rigs.recording import Drawn, logs, nominal, sane_rig
 from candata.scenes.first_load import vouch

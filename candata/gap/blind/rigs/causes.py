@@ -1,4 +1,4 @@
-"""Single causes planted in random small scenes by edits of MuJoCo's model, of commands and of readings made here.
+"""Causes of random small scenes: edits of MuJoCo's model, of commands and of readings made here.
 
 Values are drawn from the ranges that the effects of the library state; what they do is written again here, so that a
 mistake in an effect's own hooks shows.
@@ -7,32 +7,19 @@ mistake in an effect's own hooks shows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect
-from candata.gap.blind.draws import draw_setting
 from candata.gap.blind.rigs.design import Rig
-from candata.gap.blind.rigs.matter import matters
-from candata.gap.blind.rigs.player import Log, World, parts
-from candata.gap.blind.rigs.readings import Planted, Reading, ideal
-from candata.gap.blind.rigs.recording import Drawn, logs, nominal, problem, sane_rig
+from candata.gap.blind.rigs.player import Log, parts
+from candata.gap.blind.rigs.readings import Reading
 from candata.gap.blind.rigs.situations import TOUCHED
-from candata.scenes import Scene, load_scene
-from candata.scenes.first_load import vouch
-from candata.schema.effect import EffectSetting
 
 Array = NDArray[np.float64]
 Values = dict[str, Array]
-#: Values drawn for a cause in one scene, and scenes tried, before it is given up.
-VALUES, SCENES = 2, 60
-#: Episodes on which it is checked that a cause matters.
-CHECKED = 4
 
 
 class Target(NamedTuple):
@@ -52,72 +39,6 @@ class Cause(NamedTuple):
     edit: Callable[[Target, Values], None] | None = None
     command: Callable[[Target, Values, Array], Array] | None = None
     read: Callable[[Target, Values, Log, Reading], Reading] | None = None
-
-
-def planted(rig: Rig, given: EffectSetting) -> Planted:
-    """Return the world of a rig with a cause in it, and its sensors."""
-    model = nominal(rig).model
-    cause, target = CAUSES[given.name], Target(rig, model)
-    values = {name: np.atleast_1d(np.asarray(v, float)) for name, v in given.parameters.items()}
-    command, read = cause.command, cause.read
-    if cause.edit:
-        cause.edit(target, values)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    world = World(model, lift_m=_lift(rig, given.name, values))
-    if command:
-        world = World(model, lambda u: command(target, values, u))
-    if read is None:
-        return Planted(world, ideal)
-    return Planted(world, lambda log: read(target, values, log, ideal(log)))
-
-
-def drawn_cause(name: str, trait: str, seed: int, episodes: int, duration_s: float | None) -> tuple[int, EffectSetting]:
-    """Return the seed of a scene in which a cause matters, and the cause with its values.
-
-    Matters: in a plain replay without it, from the state that its first readings tell, some channel is off by
-    `matter.CLEAR` times its noise. Where it does not for any of `VALUES` draws, the next scene is drawn.
-    """
-    rng = np.random.default_rng([seed, len(name)])
-    for _ in range(SCENES):
-        drawn = sane_rig(seed, trait, episodes, duration_s)
-        if CAUSES[name].acts(drawn.rig):
-            found = setting_that_matters(drawn, name, rng)
-            if found is not None:
-                return seed, found
-        seed = int(rng.integers(2**62))
-    raise RuntimeError(f"{name} matters in none of {SCENES} scenes of trait {trait}")
-
-
-def setting_that_matters(drawn: Drawn, name: str, rng: np.random.Generator) -> EffectSetting | None:
-    """Return a drawn setting of a cause that matters in a scene; None after `VALUES` draws that do not."""
-    scene = scene_of_rig(drawn.rig)
-    if not effect(name).possible(scene):
-        return None
-    for _ in range(VALUES):
-        given = draw_setting(scene, name, rng)
-        if is_clear(drawn, given):
-            return given
-    return None
-
-
-def is_clear(drawn: Drawn, given: EffectSetting) -> bool:
-    """Tell whether a cause matters in a scene, and leaves it sane."""
-    world = planted(drawn.rig, given)
-    few = drawn.outlines[:CHECKED]
-    played = logs(world.world, drawn.rig, few)
-    if played is None or problem(drawn.rig, few, played) or not matters(drawn.rig, world, few, played):
-        return False
-    played = logs(world.world, drawn.rig, drawn.outlines)
-    return played is not None and not problem(drawn.rig, drawn.outlines, played)
-
-
-def scene_of_rig(rig: Rig) -> Scene:
-    """Return the scene as candata loads it: asked for the ranges of effects, never played."""
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "scene.xml").write_text(rig.xml)
-        (Path(folder) / "scene.yaml").write_text(rig.yaml)
-        vouch(Path(folder) / "scene.xml")
-        return load_scene(Path(folder) / "scene.yaml")
 
 
 def _touched(rig: Rig) -> bool:
@@ -287,7 +208,7 @@ def _raised(target: Target, v: Values) -> None:
     target.model.geom_pos[target.model.geom("table").id, 2] += v["height_m"][0]
 
 
-def _lift(rig: Rig, name: str, v: Values) -> float:
+def lift_of(rig: Rig, name: str, v: Values) -> float:
     """Return by how much higher the object is put down before it settles [m]: above what would be in its way."""
     if name == "support_height":
         return max(float(v["height_m"][0]), 0.0)

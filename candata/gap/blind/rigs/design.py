@@ -11,16 +11,12 @@ from candata.gap.blind.rigs.hands import Hand, draw_hand
 from candata.gap.blind.rigs.mjcf import scene_xml
 from candata.gap.blind.rigs.servos import Drive
 from candata.gap.blind.rigs.situations import SITUATIONS, Situation, Thing, draw_thing, suits
-from candata.gap.blind.rigs.writing import chance, uniform
+from candata.gap.blind.rigs.text import chance, uniform
 from candata.schema.scene import Noise, SceneFile
 
 TRAITS = ("plain", "cut", "mimic", "filtered", "integrating", "delayed", "spring", "free_base")
-
-
 #: Traits that are drawn at rest and cut in motion.
 ALSO_CUT = ("mimic", "filtered", "spring", "free_base")
-
-
 #: Rates [Hz] and the physics steps [s] that divide their control steps.
 CLOCKS = {
     50: (0.002, 0.0025, 0.004, 0.005),
@@ -29,8 +25,6 @@ CLOCKS = {
     125: (0.002, 0.004),
     200: (0.0025, 0.005, 0.001),
 }
-
-
 #: Noise, 1 sd: of hinges [rad], of slides [m], of both where one number declares it, of forces [N], of an object's
 #: place [m] and turn [rad]. Chosen: encoders of 12 bits to potentiometers, trackers by markers to trackers by a camera.
 NOISE = {

@@ -1,4 +1,4 @@
-"""Fingers of a random small scene, as MJCF text: chains of hinges and slides with position servos."""
+"""Fingers of a random small scene, as MJCF text: chains of links with position servos."""
 
 from __future__ import annotations
 
@@ -6,31 +6,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from candata.gap.blind.rigs.links import Links, Place, Shape, drawn_shape, placed_body
 from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Ends, Role, Servo, driven
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 Chain = Literal["hinge", "two_hinges", "slide", "slide_hinge", "plunger", "sweeper"]
-
-
 CHAINS: tuple[Chain, ...] = ("hinge", "two_hinges", "slide", "slide_hinge")
-
-
 #: Natural frequency [rad/s] and damping ratio of a compliant part. Chosen: visible sag and ringing, and stable.
 SPRING_RADPS, SPRING_RATIO = (22.0, 55.0), (0.08, 0.5)
-
-
 #: Axis of a hinge that swings a hanging link ahead.
 SWING = (0.0, -1.0, 0.0)
-
-
-class Place(NamedTuple):
-    """Where a finger works: a point, the direction it comes along, how far before the point it meets a surface."""
-
-    x: float
-    y: float
-    z: float
-    azimuth: float
-    surface: float
 
 
 class Finger(NamedTuple):
@@ -85,7 +70,7 @@ def finger(
         Of the fingertip's geom.
     """
     radius = uniform(rng, 0.007, 0.012)
-    links = _Links(name, radius, collide_links, tip_friction, tip_solref, spring)
+    links = Links(name, radius, collide_links, tip_friction, tip_solref, spring)
     makers = {"slide": _jaw, "plunger": _plunger, "slide_hinge": _railed}
     if chain in makers:
         return makers[chain](rng, links, place, role, force_N)
@@ -94,121 +79,9 @@ def finger(
     )
 
 
-class _Links(NamedTuple):
-    """What all links of a finger share."""
-
-    name: str
-    radius: float
-    collide: bool
-    friction: float
-    solref: tuple[float, float] | None
-    spring: bool
-
-    def link(self, length: float, mass: float, thick: float = 0.006) -> str:
-        """Return a capsule that hangs down by a length."""
-        off = None if self.collide else 0
-        return tag(
-            "geom",
-            type="capsule",
-            fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length),
-            size=thick,
-            mass=mass,
-            contype=off,
-            conaffinity=off,
-        )
-
-    def pad(self, rng: np.random.Generator, down: float, mass: float) -> str:
-        """Return the fingertip's geom, so far below its body's frame."""
-        shape = str(rng.choice(["sphere", "sphere", "sphere", "capsule", "box"]))
-        r = self.radius
-        size = {"sphere": (r,), "capsule": (r, 0.006), "box": (r, r, r)}[shape]
-        axis = (1.0, 1.0, 0.0, 0.0) if shape == "capsule" else None  # it lies across the finger's motion
-        return tag(
-            "geom",
-            name=f"{self.name}_tip",
-            type=shape,
-            size=size,
-            pos=(0.0, 0.0, -down),
-            mass=mass,
-            quat=axis,
-            friction=(self.friction, 0.005, 0.0001),
-            solref=self.solref,
-        )
-
-
-def _body(name: str, place: Place, x: float, z: float, inner: str) -> str:
-    """Return a body at `(x, 0, z)` of the frame that looks along the place's azimuth, its point as origin."""
-    c, s = np.cos(place.azimuth), np.sin(place.azimuth)
-    half = place.azimuth / 2
-    return tag(
-        "body",
-        inner,
-        name=name,
-        pos=(place.x + c * x, place.y + s * x, z),
-        quat=(float(np.cos(half)), 0.0, 0.0, float(np.sin(half))),
-    )
-
-
-class _Shape(NamedTuple):
-    """Dimensions of a hanging chain: its links [m, kg], and the turns at rest and where the surface is met [rad]."""
-
-    lengths: tuple[float, ...]
-    masses: tuple[float, ...]
-    tip_mass: float
-    rest: float
-    touch: float
-    bend: float
-    ratio: float
-
-    @property
-    def far(self) -> float:
-        """Length of the second link."""
-        return sum(self.lengths[1:])
-
-    @property
-    def mass(self) -> float:
-        """Mass of the whole chain."""
-        return sum(self.masses) + self.tip_mass
-
-    @property
-    def inertia(self) -> float:
-        """Inertia about the first hinge, stretched."""
-        links = sum(m * L**2 / 3 for m, L in zip(self.masses, self.lengths, strict=True))
-        return links + self.tip_mass * sum(self.lengths) ** 2 + sum(self.masses[1:]) * self.lengths[0] ** 2
-
-    @property
-    def load(self) -> float:
-        """Torque of its weight about the first hinge [N m], a little less than stretched out."""
-        return self.mass * GRAVITY_M_S2 * sum(self.lengths) * 0.6
-
-    @property
-    def reached(self) -> tuple[float, float]:
-        """How far ahead of the first hinge, and how far below, the tip is where the surface is met."""
-        turned = self.touch + self.bend
-        ahead = self.lengths[0] * np.sin(self.touch) + self.far * np.sin(turned)
-        return float(ahead), float(self.lengths[0] * np.cos(self.touch) + self.far * np.cos(turned))
-
-
-def _shape(rng: np.random.Generator, two: bool, follows: bool, sweeps: bool) -> _Shape:
-    """Return drawn dimensions; a joint that follows stands at its ratio of the first."""
-    lengths = (uniform(rng, 0.05, 0.1), *((uniform(rng, 0.03, 0.06),) if two else ()))
-    touch = -uniform(rng, 0.3, 0.6) if sweeps else uniform(rng, -0.1, 0.35)
-    ratio = uniform(rng, 0.4, 1.2)
-    bend = ratio * touch if follows else uniform(rng, -0.2, 0.5)
-    return _Shape(
-        lengths,
-        tuple(uniform(rng, 0.01, 0.04) for _ in lengths),
-        uniform(rng, 0.004, 0.015),
-        touch - uniform(rng, 0.12, 0.4),
-        touch,
-        bend if two else 0.0,
-        ratio,
-    )
-
-
 def _hanging(
     rng: np.random.Generator,
-    links: _Links,
+    links: Links,
     place: Place,
     role: Role,
     force_N: float,
@@ -218,7 +91,7 @@ def _hanging(
     sweeps: bool,
 ) -> Finger:
     """Return a chain of one or two hinges that hangs down; it swings toward +x of its frame."""
-    name, shape = links.name, _shape(rng, two, follows, sweeps)
+    name, shape = links.name, drawn_shape(rng, two, follows, sweeps)
     wander = uniform(rng, 0.2, 0.5) if role == "free" else 0.0
     ends = Ends(shape.rest, shape.rest - uniform(rng, 0.0, 0.3), shape.touch + wander)
     base = driven(rng, f"{name}_a", role, SWING, shape.inertia, shape.load, ends, force=force_N * sum(shape.lengths))
@@ -240,14 +113,14 @@ def _hanging(
     tip_body = f"{name}_pad" if flexes else (f"{name}_end" if two else name)
     if rooted:
         stem = _root(rng, name, shape.inertia, shape.load) + tag("body", xml, name=name)
-        whole = _body(f"{name}_root", place, at, height, stem)
+        whole = placed_body(f"{name}_root", place, at, height, stem)
     else:
-        whole = _body(name, place, at, height, xml)
+        whole = placed_body(name, place, at, height, xml)
     return Finger(whole, servos, f"{name}_tip", tip_body, ties, shape.mass)
 
 
 def _second(
-    rng: np.random.Generator, name: str, shape: _Shape, first: Servo, role: Role, force_N: float, follows: bool
+    rng: np.random.Generator, name: str, shape: Shape, first: Servo, role: Role, force_N: float, follows: bool
 ) -> tuple[str, tuple[Servo, ...], tuple[tuple[str, str, float], ...]]:
     """Return the second hinge, its servo, or what ties it to the first one."""
     small = 0.2 * shape.inertia
@@ -263,7 +136,7 @@ def _second(
     return middle.xml, (middle.servo,), ()
 
 
-def _bent(rng: np.random.Generator, links: _Links, down: float, tip_mass: float) -> str:
+def _bent(rng: np.random.Generator, links: Links, down: float, tip_mass: float) -> str:
     """Return a fingertip on a springy hinge at the end of a link."""
     length = uniform(rng, 0.008, 0.02)
     own = tip_mass * (length**2 + links.radius**2)
@@ -300,7 +173,7 @@ def _root(rng: np.random.Generator, name: str, inertia: float, load: float) -> s
     return joint + block
 
 
-def _jaw(rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float) -> Finger:
+def _jaw(rng: np.random.Generator, links: Links, place: Place, role: Role, force_N: float) -> Finger:
     """Return a jaw on a horizontal slide."""
     name, mass, gap = links.name, uniform(rng, 0.05, 0.25), uniform(rng, 0.01, 0.035)
     moves = uniform(rng, 0.01, 0.03) if role == "free" else 0.0
@@ -320,11 +193,15 @@ def _jaw(rng: np.random.Generator, links: _Links, place: Place, role: Role, forc
     at = -place.surface - links.radius - gap
     body = f"{name}_pad" if links.spring else name
     return Finger(
-        _body(name, place, at, place.z, slide.xml + bar + tip), (slide.servo,), f"{name}_tip", body, mass=mass + 0.01
+        placed_body(name, place, at, place.z, slide.xml + bar + tip),
+        (slide.servo,),
+        f"{name}_tip",
+        body,
+        mass=mass + 0.01,
     )
 
 
-def _plunger(rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float) -> Finger:
+def _plunger(rng: np.random.Generator, links: Links, place: Place, role: Role, force_N: float) -> Finger:
     """Return a finger on a vertical slide above the table; its weight lets it sag below its command."""
     name, mass, gap = links.name, uniform(rng, 0.05, 0.2), uniform(rng, 0.01, 0.03)
     slide = driven(
@@ -345,11 +222,15 @@ def _plunger(rng: np.random.Generator, links: _Links, place: Place, role: Role, 
     )
     xml = slide.xml + rod + links.pad(rng, 0.0, 0.01)
     return Finger(
-        _body(name, place, 0.0, links.radius + gap + sag, xml), (slide.servo,), f"{name}_tip", name, mass=mass + 0.01
+        placed_body(name, place, 0.0, links.radius + gap + sag, xml),
+        (slide.servo,),
+        f"{name}_tip",
+        name,
+        mass=mass + 0.01,
     )
 
 
-def _railed(rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float) -> Finger:
+def _railed(rng: np.random.Generator, links: Links, place: Place, role: Role, force_N: float) -> Finger:
     """Return a hanging hinge on a slide that goes toward the place, or up and down."""
     name = links.name
     gap = uniform(rng, 0.005, 0.02)

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.fingers import CHAINS, Chain, Finger, Place, finger
+from candata.gap.blind.rigs.fingers import CHAINS, Chain, Finger, finger
+from candata.gap.blind.rigs.links import Place
 from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Role, Servo
 from candata.gap.blind.rigs.situations import Situation, Thing
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 
 class Hand(NamedTuple):

@@ -8,7 +8,7 @@ from candata.gap.blind.rigs.fingers import SPRING_RATIO
 from candata.gap.blind.rigs.hands import Hand
 from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Drive
 from candata.gap.blind.rigs.situations import Situation, Thing
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 
 def scene_xml(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from candata.gap.blind.rigs.design import Rig
 from candata.gap.blind.rigs.servos import Drive, Servo
-from candata.gap.blind.rigs.writing import chance, uniform
+from candata.gap.blind.rigs.text import chance, uniform
 
 Array = NDArray[np.float64]
 #: Time in which a sum of sines fades in [s], its frequencies [Hz], shortest and longest time between points [s].

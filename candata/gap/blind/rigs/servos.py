@@ -6,14 +6,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.writing import chance, tag, uniform
+from candata.gap.blind.rigs.text import chance, tag, uniform
 
 Role = Literal["free", "push", "grip", "lift", "press", "carry"]
-
-
 GRAVITY_M_S2 = 9.81
-
-
 #: Natural frequency [rad/s] and damping ratio of a servo with its joint, and of a slide that carries weight. Chosen:
 #: small hobby servos to stiff drives, all stable at 5 ms steps.
 SERVO_RADPS, SERVO_RATIO, LIFT_RADPS = (12.0, 36.0), (0.35, 1.2), (28.0, 45.0)

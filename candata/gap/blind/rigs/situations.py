@@ -6,11 +6,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.writing import chance, uniform
+from candata.gap.blind.rigs.text import chance, uniform
 
 Situation = Literal["none", "rest", "meeting", "pressing", "pushed", "rolling", "pinched", "held", "lifted", "carried"]
-
-
 #: How often a situation is drawn. Chosen: objects that nothing touches and objects that are touched about as often.
 SITUATIONS: dict[Situation, float] = {
     "none": 0.11,
@@ -24,8 +22,6 @@ SITUATIONS: dict[Situation, float] = {
     "lifted": 0.06,
     "carried": 0.03,
 }
-
-
 #: Situations in which something else than the support touches the object.
 TOUCHED: tuple[Situation, ...] = ("pushed", "rolling", "pinched", "held", "lifted", "carried")
 

@@ -1,0 +1,1 @@
+"""What was recorded, on the scene's names and clock, and how noisy it is."""

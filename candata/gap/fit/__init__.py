@@ -1,0 +1,1 @@
+"""What is searched: candidates, their signatures and responses, fits and the rule that compares them."""

@@ -1,0 +1,1 @@
+"""How large a gap is, in floors, and in which channels and phases it lies."""

@@ -1,0 +1,1 @@
+"""Where a replay starts, what it plays, and what it leaves of the recordings."""

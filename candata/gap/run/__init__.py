@@ -1,0 +1,1 @@
+"""What every step of a diagnosis has: random streams, pace, a cache."""

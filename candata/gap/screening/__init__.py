@@ -1,0 +1,1 @@
+"""One look at every effect: signatures rank them, simulations sharpen the best."""

@@ -1,0 +1,1 @@
+"""Which: sets of effects compete, and what explains most is attributed."""

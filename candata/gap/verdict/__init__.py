@@ -1,0 +1,1 @@
+"""What is said in the end: the verdict, its report, the next motion."""
