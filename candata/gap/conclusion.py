@@ -20,6 +20,7 @@ from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.locate import acts_on, locate, slides, symptoms
 from candata.gap.mending import mended
 from candata.gap.origin import data_used, given_note, provenance, title
+from candata.gap.own_floor import in_units
 from candata.gap.profile import Known, known
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings
@@ -221,7 +222,7 @@ def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) 
 
 def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
-    alone = support(f.found.first.fits, f.found.first.base, f.problem.stream("support"))[0]
+    alone = _support_alone(f, fit)
     pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, f.found.rivals), strict=True)
     out = []
     for (c, u), estimates, (share, backing) in pieces:
@@ -231,12 +232,24 @@ def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEff
                 element=c.element,
                 share=share,
                 at_bound=_is_at_bound(c, u),
-                support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
+                support=round(trusted * (alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
                 rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
             )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _support_alone(f: Findings, fit: Fit) -> float:
+    """Return the share of resampled sets of episodes in which a set explains more than each effect of the first look.
+
+    A set of one effect that was looked at there counts as it was found there, like its rivals.
+    """
+    first = f.found.first
+    own = next((g for g in first.fits if g.labels == fit.labels), None)
+    own = own or in_units(fit, _judged(f), f.problem)
+    others = [g for g in first.fits if g.labels != fit.labels]
+    return float(support((own, *others), first.base, f.problem.stream("support"))[0])
 
 
 def _instead(fit: Fit, other: Fit) -> str:
