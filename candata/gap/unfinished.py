@@ -22,7 +22,7 @@ from candata.gap.regime import with_regimes
 from candata.gap.replay import needs_simulation
 from candata.gap.screen import respond, screening
 from candata.gap.search import Problem, SoFar, fit_one
-from candata.gap.shortlist import brief
+from candata.gap.shortlist import first_look
 from candata.gap.shrink import HeldOut, gap, held_out, measures
 from candata.gap.stage import Stage, unheld
 from candata.scenes import Scene
@@ -111,7 +111,7 @@ def _looked_at(problem: Problem) -> tuple[Stage, tuple[str, ...]]:
 
     It is that of a few episodes, each held out once.
     """
-    part, index = brief(problem)
+    part, index = first_look(problem)
     asked = unheld(problem, ())
     settings = {c.label: [part.setting([(c, u)]) for u in screening(c, part)] for c in asked}
     known = [c for c in asked if all(part.library.knows(s) or not needs_simulation(s) for s in settings[c.label])]

@@ -8,7 +8,7 @@ from candata.gap.candidates import candidates, local_candidates
 from candata.gap.replay import EffectSet, needs_simulation
 from candata.gap.screen import screening
 from candata.gap.search import Problem
-from candata.gap.shortlist import brief
+from candata.gap.shortlist import brief, first_look
 from candata.scenes.traits import is_toss
 
 #: What is wanted: what every diagnosis looks at first; also what most of many diagnoses come to need; everything.
@@ -26,7 +26,7 @@ def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
         return []
     possible = [c for c in candidates(scene, problem.recs.channels) if c.name not in problem.ruled_out]
     few, _ = brief(problem)
-    rounds = [(few, possible)]
+    rounds = [(first_look(problem)[0], possible)]
     if depth != "first":
         variants = [v for c in possible for v in local_candidates(c, scene)]
         rounds += [(few, variants)] if few is problem else [(few, variants), (problem, possible)]
