@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from candata.gap.verdict import FEWEST
+from candata.gap.fit.folds import FEWEST
 from candata.reports import words
 from candata.reports.numbers import digits, percent
 from candata.schema.report import Report, Verdict

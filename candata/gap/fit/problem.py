@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 #: Replayed episodes that are kept, the newest ones: of two or three looks in which every effect of a hand is simulated
 #: on six, or of 150 worlds on twenty. (Of a hand of five fingers, 2304 numbers an episode, 55 MB.)
-KEPT = 3000
+KEPT = 6000
 
 
 @dataclass
@@ -109,6 +109,10 @@ class Problem:
     def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts where none is kept."""
         self.sofar.episodes_replayed += len(variants) * len(self.recs)
+        return [self.score.normal(z) for z in self._replayed(variants)]
+
+    def _replayed(self, variants: Sequence[EffectSet]) -> list[Array]:
+        """Return residuals `(E, B, D)` of all episodes in each effect set, by rollouts of those that are not kept."""
         names, ids = [name_of(some) for some in variants], list(zip(self.recs.ids, self.begin.keys, strict=True))
         kept = {(name, i): self.played[name, i] for name in names for i in ids if (name, i) in self.played}
         missing: dict[tuple[int, ...], dict[str, EffectSet]] = {}
@@ -124,7 +128,7 @@ class Problem:
             self.played.update(new)
         for old in list(self.played)[:-KEPT]:
             del self.played[old]
-        return [self.score.normal(np.stack([kept[name, i] for i in ids])) for name in names]
+        return [np.stack([kept[name, i] for i in ids]) for name in names]
 
     def _simulated(self, index: Index, variants: Sequence[EffectSet]) -> list[Array]:
         """Return residuals `(E, B, D)` of some episodes in each effect set, by rollouts."""
@@ -169,7 +173,7 @@ class Problem:
         """
         self.sofar.episodes_replayed += len(points) * len(self.recs)
         settings = [self.setting([point]) for point in points]
-        kept = iter(self.library.signatures([some for some in settings if needs_simulation(some)]))
+        kept = iter(self.library.signatures([s for s in settings if needs_simulation(s)], self._replayed))
         return [self.score.normal(next(kept) if needs_simulation(some) else self._sensed(some)) for some in settings]
 
     def _sensed(self, some: EffectSet) -> Array:

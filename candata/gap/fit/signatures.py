@@ -35,6 +35,8 @@ from candata.simulate import rollout
 
 Array = NDArray[np.float64]
 Compact = NDArray[np.float32]
+#: Returns the residuals `(E, B, D)` of recordings that are replayed with each of some effect sets.
+Replayed = Callable[[Sequence[EffectSet]], Sequence[Array]]
 #: Seed of null recordings: the same from the cache and without it.
 NULL_SEED = 0
 #: Seconds between two words on how far simulations are.
@@ -94,17 +96,21 @@ class Library:
             self.parts[key] = replace(part, own=self.own and part.own)
         return self.parts[key]
 
-    def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
-        """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
+    def signatures(self, settings: Sequence[EffectSet], replayed: Replayed | None = None) -> list[Compact]:
+        """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared.
+
+        What is seen on the recording itself comes from `replayed`, by default by simulation of all episodes.
+        """
         # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
         order = range(len(settings)) if self.seen else np.random.default_rng(os.getpid()).permutation(len(settings))
         each = max(1, BATCH // len(self.recs)) if self.seen else 1
+        replayed = replayed or self._replayed
         found: dict[int, Compact] = {}
         begun = told_s = time.monotonic()
         for first in range(0, len(settings), each):
             some = [int(i) for i in order[first : first + each]]
             asked = [settings[i] for i in some]
-            made = self._on_recording(asked) if self.seen else [self._signature(one) for one in asked]
+            made = self._on_recording(asked, replayed) if self.seen else [self._signature(one) for one in asked]
             found.update(zip(some, made, strict=True))
             now = time.monotonic()
             if now - told_s > TOLD_S and len(found) < len(settings):
@@ -112,8 +118,8 @@ class Library:
                 self.told(f"simulating effects: {len(found)} of {len(settings)}, about {left:.0f} s left of these")
         return [found[i] for i in range(len(settings))]
 
-    def _on_recording(self, settings: Sequence[EffectSet]) -> list[Compact]:
-        """Return by how much the residuals of the recordings fall with each effect set, replayed together.
+    def _on_recording(self, settings: Sequence[EffectSet], replayed: Replayed) -> list[Compact]:
+        """Return by how much the residuals of the recordings fall with each effect set.
 
         Not of a sensor at fault that read the start: a replay from a start that is a little less wrong goes on in as
         wrong a contact. (Of a tracker turned about three axes, no turn about one of them took anything off.)
@@ -125,11 +131,15 @@ class Library:
             elif name not in self.memo and (found := cache.read(self._file(name))) is not None:
                 self.memo[name] = found["residual"]
         new = {name: some for name, some in zip(names, settings, strict=True) if name not in self.memo}
-        played = replay_all(self.replayer, self.recs, self.begin, list(new.values())) if new else []
-        for name, readings in zip(new, played, strict=True):
-            self.memo[name] = (self.raw - residual(self.recs, self.plan, readings)).astype(np.float32)
+        for name, left in zip(new, replayed(list(new.values())) if new else [], strict=True):
+            self.memo[name] = (self.raw - left).astype(np.float32)
             cache.keep(self._file(name), residual=self.memo[name])
         return [self.memo[name] for name in names]
+
+    def _replayed(self, settings: Sequence[EffectSet]) -> list[Array]:
+        """Return the residuals of the recordings with each effect set."""
+        played = replay_all(self.replayer, self.recs, self.begin, settings)
+        return [residual(self.recs, self.plan, readings) for readings in played]
 
     def knows(self, some: EffectSet) -> bool:
         """Tell whether this diagnosis has a signature already."""

@@ -7,7 +7,7 @@ from typing import Literal
 from candata.gap.fit.candidates import candidates, local_candidates
 from candata.gap.fit.problem import Problem
 from candata.gap.replay.replayer import EffectSet, needs_simulation
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.shortlist import brief, first_look
 from candata.gap.screening.signature_screen import screening
 from candata.scenes.traits import is_toss
 
@@ -26,7 +26,7 @@ def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
         return []
     possible = [c for c in candidates(scene, problem.recs.channels) if c.name not in problem.ruled_out]
     few, _ = brief(problem)
-    rounds = [(few, possible)]
+    rounds = [(first_look(problem)[0], possible)]
     if depth != "first":
         variants = [v for c in possible for v in local_candidates(c, scene)]
         rounds += [(few, variants)] if few is problem else [(few, variants), (problem, possible)]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.fit.candidates import Candidate
+from candata.gap.fit.comparison import null_level
 from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import cross_fit
 from candata.gap.fit.problem import Problem
@@ -41,6 +42,9 @@ TRIED, WORTH = 0.05, 0.1
 #: half of `TRIED`. (Of 33 effects beside a first cause, the true second one closed 0.32 to 0.94 of three episodes; of
 #: seven causes in no library one to six effects closed 0.02.)
 SILENT = 0.025
+#: Share of the best gain on half of a few episodes below which a candidate is looked at no further. Chosen: a quarter
+#: of `ALONE`.
+NEAR_NOTHING = 0.1
 #: How many of those that gain such a share where they are fitted come along.
 FITTED = 3
 
@@ -86,13 +90,22 @@ def screened(problem: Problem, found: Sequence[Candidate], base: Array) -> Scree
     if part is problem:
         responses, dead = _all(problem, found, base)
         return Screened(responses, dead, (), len(responses))
-    closing = _closing(part, part.nominal, found, ())
-    rough, dead = _all(part, closing, base[index])
-    kept = _best(part, rough, base[index], PLAYED if problem.simulated else ALONE)
+    if problem.simulated:
+        going = _closing(part, part.nominal, found, ())
+        rough, dead = _all(part, going, base[index])
+        tried = len(rough) + len(found) - len(going)
+    else:
+        first, looked_at = first_look(problem)
+        rough, dead = _all(first, found, base[looked_at])
+        tried = len(rough)
+        if first is not part:
+            rough, _ = respond(part, part.nominal, _better_half(first, rough, base[looked_at]))
+    has_gap = bool(problem.score.loss(problem.nominal).mean() > null_level(problem.score))
+    kept = _best(part, rough, base[index], PLAYED if problem.simulated else ALONE, has_gap)
     responses, _ = respond(problem, problem.nominal, kept)
-    told = {*(c.label for c in kept), *dead}
-    faint = tuple(c.label for c in found if c.element is None and c.label not in told)
-    return Screened(responses, dead, faint, len(rough) + len(found) - len(closing), rough)
+    known = {*(c.label for c in kept), *dead}
+    faint = tuple(c.label for c in found if c.element is None and c.label not in known)
+    return Screened(responses, dead, faint, tried, rough)
 
 
 def reconsidered(problem: Problem, seen: Screened, base: Array) -> Screened:
@@ -107,8 +120,10 @@ def reconsidered(problem: Problem, seen: Screened, base: Array) -> Screened:
         for c, r in seen.rough
         if (c.element or c.label in seen.faint) and fitted(part, r, base[index])[0] <= least
     }
-    responses, _ = respond(problem, problem.nominal, [c for c, _ in seen.rough if c.label not in left_out])
-    return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name in left_out))
+    kept = [c for c, _ in seen.rough if c.label not in left_out]
+    responses, _ = respond(problem, problem.nominal, kept)
+    known = {c.label for c in kept}
+    return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name not in known))
 
 
 def _all(problem: Problem, found: Sequence[Candidate], base: Array) -> tuple[Responses, tuple[str, ...]]:
@@ -133,20 +148,32 @@ def _closing(problem: Problem, here: Compact, found: Sequence[Candidate], held: 
     """
     if not problem.simulated:
         return list(found)
-    left = problem.score.loss(here)
-    half = _each_in_turn(problem.recs.tasks, left)[: len(left) // 2]
-    part, base = taken(problem, half), left[half]
+    half = _telling_half(problem, here)
+    part, base = taken(problem, half), problem.score.loss(here)[half]
     responses, _ = respond(part, here[half], [c for c in found if not c.choices], held)
     least = SILENT * float((base - 1).mean())
     closing = {c.label for c, response in responses if fitted(part, response, base)[0] > least}
     return [c for c in found if c.choices or c.label in closing]
 
 
-def _best(problem: Problem, responses: Responses, base: Array, share: float) -> list[Candidate]:
+def _telling_half(problem: Problem, here: Compact) -> Index:
+    """Return half of the episodes: those of each task that leave most of the residuals `here (E, K)`."""
+    left = problem.score.loss(here)
+    return _each_in_turn(problem.recs.tasks, left)[: len(left) // 2]
+
+
+def _better_half(problem: Problem, responses: Responses, base: Array) -> list[Candidate]:
+    """Return the half of the candidates that gain most on the episodes that they are fitted to, none near nothing."""
+    gains = sorted(((fitted(problem, r, base)[0], c) for c, r in responses), key=lambda pair: -pair[0])
+    least = NEAR_NOTHING * gains[0][0] if gains else 0.0
+    return [c for gain, c in gains[: (len(gains) + 1) // 2] if gain >= least]
+
+
+def _best(problem: Problem, responses: Responses, base: Array, share: float, has_gap: bool) -> list[Candidate]:
     """Return the candidates that gain a share of the most on a few episodes, held out, or where all are fitted.
 
-    A few episodes hardly fit the numbers of a vector without one of them. Where each is simulated on the recording,
-    few, and none that closes next to nothing of what is left.
+    A few episodes hardly fit the numbers of a vector without one of them; without a gap there is nothing that they
+    would have to explain. Where each is simulated on the recording, few, and none that closes next to nothing.
     """
     gains = _gains(problem, responses, base)
     if problem.simulated:
@@ -154,6 +181,8 @@ def _best(problem: Problem, responses: Responses, base: Array, share: float) -> 
         return [c for gain, c in gains[:SIMULATED] if gain > least]
     wanted = sum(gain > share * gains[0][0] for gain, _ in gains)
     found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
+    if not has_gap:
+        return found
     closing = sorted(((fitted(problem, r, base)[0], c) for c, r in responses), key=lambda pair: -pair[0])[:FITTED]
     return found + [c for gain, c in closing if c not in found and gain > share * closing[0][0]]
 
@@ -212,6 +241,19 @@ def brief(problem: Problem) -> tuple[Problem, Index]:
     if is_toss(problem.replayer.scene) or WORTHWHILE * len(index) > len(problem.recs):
         return problem, np.arange(len(problem.recs))
     return taken(problem, index), index
+
+
+def first_look(problem: Problem) -> tuple[Problem, Index]:
+    """Return the problem of the episodes on which all effects are looked at first, and which.
+
+    They are a few. Where signatures are those of these recordings, each costs a replay of its own: then they are the
+    more telling half of the few.
+    """
+    part, index = brief(problem)
+    if part is problem or not problem.library.seen:
+        return part, index
+    half = _telling_half(part, part.nominal)
+    return taken(part, half), index[half]
 
 
 def few(tasks: Sequence[str], left: Array | None = None) -> Index:

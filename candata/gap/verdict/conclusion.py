@@ -16,6 +16,7 @@ from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import FEWEST
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.stage import Stage
+from candata.gap.fit.world_floor import in_units
 from candata.gap.force.remedy import mended
 from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.replayer import EffectSet
@@ -155,7 +156,7 @@ def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) 
 
 def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
-    alone = support(f.found.first.fits, f.found.first.base, f.problem.stream("support"))[0]
+    alone = _support_alone(f, fit)
     pieces = zip(fit.members, _estimates(f, fit, ends), shares(judged_problem(f), fit, f.found.rivals), strict=True)
     out = []
     for (c, u), estimates, (share, backing) in pieces:
@@ -165,12 +166,24 @@ def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEff
                 element=c.element,
                 share=share,
                 at_bound=_is_at_bound(c, u),
-                support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
+                support=round(trusted * (alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
                 rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
             )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _support_alone(f: Findings, fit: Fit) -> float:
+    """Return the share of resampled sets of episodes in which a set explains more than each effect of the first look.
+
+    A set of one effect that was looked at there counts as it was found there, like its rivals.
+    """
+    first = f.found.first
+    own = next((g for g in first.fits if g.labels == fit.labels), None)
+    own = own or in_units(fit, judged_problem(f), f.problem)
+    others = [g for g in first.fits if g.labels != fit.labels]
+    return float(support((own, *others), first.base, f.problem.stream("support"))[0])
 
 
 def _instead(fit: Fit, other: Fit) -> str:

@@ -18,7 +18,7 @@ from candata.gap.replay.budget import Budget
 from candata.gap.replay.replayer import needs_simulation
 from candata.gap.run.pace import REST
 from candata.gap.screening.look import unheld
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.shortlist import first_look
 from candata.gap.screening.signature_screen import respond, screening
 from candata.gap.search.outlook import first_cause
 from candata.gap.validation.closure import HeldOut, gap, held_out, measures
@@ -114,7 +114,7 @@ def _looked_at(problem: Problem) -> tuple[Stage, tuple[str, ...]]:
 
     It is that of a few episodes, each held out once.
     """
-    part, index = brief(problem)
+    part, index = first_look(problem)
     asked = unheld(problem, ())
     settings = {c.label: [part.setting([(c, u)]) for u in screening(c, part)] for c in asked}
     known = [c for c in asked if all(part.library.knows(s) or not needs_simulation(s) for s in settings[c.label])]
