@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import open_dataset
-from candata.gap.blind.cases import read_cases, scene_of
-from candata.gap.blind.labels import CASES, LABELS, open_labels, read_labels
+from candata.gap.blind.cases import CASES, read_cases, scene_of
+from candata.gap.blind.labels import LABELS, open_labels, read_labels
 from candata.gap.blind.nominal_scene import NominalScene
 from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
 from candata.gap.preparation import posed
