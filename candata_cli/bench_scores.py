@@ -43,11 +43,10 @@ class ScoredRun:
 
 def diagnose_and_score(run: ScoredRun, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
-    from candata.gap.blind.answers import opened
+    from candata.gap.blind.answers import opened_outcomes
     from candata.gap.blind.cases import read_cases, scene_of
     from candata.gap.blind.labels import open_labels, read_labels
-    from candata.gap.blind.runs import Place, run_cases
-    from candata.gap.blind.runs import known as standing_results
+    from candata.gap.blind.runs import Place, run_cases, standing_results
     from candata.gap.blind.scores import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
@@ -71,7 +70,7 @@ def diagnose_and_score(run: ScoredRun, json: bool) -> None:
     case_count = sum(bool(labels[p.folder.name].effects) for p in done_places)
     with console.progress("weighing true causes", case_count) as advance:
         shares = measure_shares(run.out, done_places, labels, crew=run.crew, told=advance)
-    outcomes = _with_fresh_gaps(run, places, opened(places, results, labels, shares), sealed_labels)
+    outcomes = _with_fresh_gaps(run, places, opened_outcomes(places, results, labels, shares), sealed_labels)
     follow_ups = _followed_outcomes(run, done_places, outcomes) if run.follow else []
     scenes = {p.scene for p in places}
     title = places[0].scene if len(scenes) == 1 else f"{len(scenes)} scenes"
@@ -142,7 +141,7 @@ def _followed_outcomes(run: ScoredRun, places: list[Place], outcomes: list[Outco
 
 def _baseline_scores(run: ScoredRun, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
     """Return the score of the diagnosis and of each baseline on the first cases."""
-    from candata.gap.blind.answers import opened
+    from candata.gap.blind.answers import opened_outcomes
     from candata.gap.blind.baselines import run_baselines
     from candata.gap.blind.scores import score_run
 
@@ -155,7 +154,7 @@ def _baseline_scores(run: ScoredRun, places: list[Place], outcomes: list[Outcome
     scores = [score_run(first_outcomes, scene=places[0].scene, cases=count)]
     shares = {o.label.case: o.shares for o in first_outcomes if o.shares}
     for method, results in baseline_results.items():
-        method_outcomes = opened(places[:count], results, labels, shares)
+        method_outcomes = opened_outcomes(places[:count], results, labels, shares)
         scores.append(score_run(method_outcomes, scene=places[0].scene, cases=count, method=method))
     return tuple(scores)
 

@@ -258,7 +258,7 @@ def bench_lock(out: Path) -> AbstractContextManager[None]:
 def _kept_text(folder: Path, out: Path | None) -> str:
     """Return what stands of a run, as a clause: cases in `folder`, results in `out`."""
     from candata.gap.blind.cases import CASE, CASES
-    from candata.gap.blind.runs import known as standing_results
+    from candata.gap.blind.runs import standing_results
 
     case_count = len(list((folder / CASES).glob(f"[!.]*/{CASE}")))
     cases = f"{case_count} cases" if case_count or out is None else ""

@@ -6,15 +6,7 @@ import ast
 from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
 
-import pytest
-
 from tests.architecture.test_layers import LIBRARY, ROOT, modules_imported
-
-#: Modules of the diagnosis whose circles still stand.
-STANDING = {
-    *(f"candata.gap.fit.{name}" for name in ("comparison", "problem")),
-    *(f"candata.gap.screening.{name}" for name in ("elements", "look", "refinement", "shortlist", "signature_screen")),
-}
 
 
 def imports() -> dict[str, set[str]]:
@@ -41,18 +33,7 @@ def circle(graph: Mapping[str, set[str]]) -> list[str]:
 def test_no_modules_import_one_another_in_a_circle():
     graph = imports()
     assert len(graph) == len(LIBRARY)
-    assert circle({name: graph[name] - STANDING if name in STANDING else graph[name] for name in graph}) == []
-
-
-@pytest.mark.parametrize("module", sorted(STANDING))
-def test_what_is_excepted_is_still_in_a_circle(module):
-    graph = imports()
-    reached, waiting = set(), set(graph[module])
-    while waiting:
-        name = waiting.pop()
-        reached.add(name)
-        waiting |= graph[name] - reached
-    assert module in reached
+    assert circle(graph) == []
 
 
 def test_the_rule_sees_a_circle():

@@ -40,6 +40,14 @@ LAYERS = (
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 
+#: Rooms of the diagnosis from the top down: folders, and the two modules that call them.
+DIAGNOSIS = (
+    *("run", "data", "replay", "measure", "fit", "mismatch", "screening", "preparation", "moves", "force", "search"),
+    *("validation", "verdict", "diagnosis", "blind"),
+)
+#: Most rooms of the diagnosis that import one another in a row.
+FLOORS = 12
+
 LIBRARY = sorted((ROOT / "candata").rglob("*.py"))
 COMMANDS = sorted((ROOT / "candata_cli").rglob("*.py"))
 
@@ -96,6 +104,41 @@ def test_a_room_imports_only_from_rooms_above(path):
         assert allowed, f"{room} is above {parts[1]} and must not import {name}"
 
 
+def imported_rooms(path: Path) -> set[str]:
+    """Return the rooms of the diagnosis that a file of it imports, its own among them."""
+    names = modules_imported(path, ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    return {name.split(".")[2] for name in names if name.startswith("candata.gap.")}
+
+
+def diagnosis_files() -> list[tuple[str, Path]]:
+    """Return the files of the diagnosis, each with its room; its public surface has none."""
+    files = (ROOT / "candata/gap").rglob("*.py")
+    rooms = [(path.relative_to(ROOT / "candata/gap").parts[0].removesuffix(".py"), path) for path in sorted(files)]
+    return [(room, path) for room, path in rooms if room != "__init__"]
+
+
+@pytest.mark.parametrize(("room", "path"), diagnosis_files(), ids=ids([path for _, path in diagnosis_files()]))
+def test_a_room_of_the_diagnosis_imports_only_from_rooms_above(room, path):
+    allowed = set(DIAGNOSIS[: DIAGNOSIS.index(room) + 1])
+    assert imported_rooms(path) - allowed == set(), f"{room} is above them in DIAGNOSIS"
+
+
+def test_few_rooms_of_the_diagnosis_stand_on_one_another():
+    floor = dict.fromkeys(DIAGNOSIS, 1)
+    for room in DIAGNOSIS:
+        below = {name for own, path in diagnosis_files() if own == room for name in imported_rooms(path)} - {room}
+        floor[room] = 1 + max((floor[name] for name in below), default=0)
+    assert max(floor.values()) <= FLOORS
+
+
+def test_a_folder_of_the_diagnosis_says_in_one_line_what_it_does():
+    for path in (ROOT / "candata/gap").glob("*/__init__.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if path.parent.name != "moves":  # a registry
+            assert len(tree.body) == 1, f"{path.parent.name}: import from the module"
+        assert "\n" not in (ast.get_docstring(tree) or "\n").split("\n\n")[0]
+
+
 @pytest.mark.parametrize("path", COMMANDS, ids=ids(COMMANDS))
 def test_a_command_file_imports_nothing_heavy_before_a_command_runs(path):
     light = LIGHT | set(sys.stdlib_module_names)
@@ -104,10 +147,19 @@ def test_a_command_file_imports_nothing_heavy_before_a_command_runs(path):
         assert known, f"import {name} inside the command that needs it"
 
 
-def test_the_architecture_lists_the_rooms_from_the_top_down():
+def rooms_listed(heading: str) -> list[tuple[str, ...]]:
+    """Return the rooms of each row of a table of the architecture."""
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    rows = text.split("\n| room |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
-    assert [tuple(re.findall(r"`(\w+)`", row.split("|")[1])) for row in rows] == list(LAYERS)
+    rows = text.split(f"\n| {heading} |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
+    return [tuple(re.findall(r"`(\w+)`", row.split("|")[1])) for row in rows]
+
+
+def test_the_architecture_lists_the_rooms_from_the_top_down():
+    assert rooms_listed("room") == list(LAYERS)
+
+
+def test_the_architecture_lists_the_rooms_of_the_diagnosis_from_the_top_down():
+    assert rooms_listed("room of `gap`") == [(room,) for room in DIAGNOSIS]
 
 
 def test_the_rule_sees_a_wrong_import():

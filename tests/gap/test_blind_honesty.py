@@ -6,7 +6,7 @@ from math import log
 
 import pytest
 
-from candata.gap.blind.answers import opened
+from candata.gap.blind.answers import opened_outcomes
 from candata.gap.blind.honesty import LEAST_SUPPORT, all_covered, brier_score, deviation_errors, log_score
 from candata.gap.blind.outcomes import Outcome
 from candata.gap.blind.runs import Place
@@ -120,5 +120,5 @@ def test_opened_cases_know_the_models_own_values(tmp_path, cube):
     report = case("one", (MASS,), (say(MASS), say(SLIDE), unheard)).result.report
     result = CaseResult(case="case-0001", sealed="s", cpu_s=1.0, cold=False, report=report)
     label = Label(case="case-0001", kind="one", effects=(MASS,))
-    (outcome,) = opened([place], [result], {"case-0001": label}, {})
+    (outcome,) = opened_outcomes([place], [result], {"case-0001": label}, {})
     assert outcome.nominal == OWN

@@ -9,7 +9,7 @@ import pytest
 
 from candata.gap.data.noise import sensor_noise
 from candata.gap.data.recordings import recordings
-from candata.gap.data.sample_hold import held, only_new, sources
+from candata.gap.data.sample_hold import held_readings, only_new, sources
 from candata.gap.measure.floor import floor
 from candata.gap.measure.score import score
 from candata.gap.replay.replayer import Replayer, replay_all
@@ -62,10 +62,10 @@ def test_lost_frames_of_a_slow_sensor_are_readings_that_are_held_longer(rng):
 def test_holding_and_thinning_follow_the_rows(rng):
     values = rng.standard_normal((2, 8, 1))
     rows = np.array([[0, 0, 2, 2, 4, 4, 6, 6], [0, 0, 0, 3, 3, 3, 6, 6]])
-    assert (held(values, rows)[1, :, 0] == values[1, rows[1], 0]).all()
+    assert (held_readings(values, rows)[1, :, 0] == values[1, rows[1], 0]).all()
     # Three readings of the second episode, so three of the first.
     assert (only_new(values, rows)[..., 0] == [values[0, [0, 2, 4], 0], values[1, [0, 3, 6], 0]]).all()
-    assert held(values, None) is values
+    assert held_readings(values, None) is values
     assert only_new(values, None) is values
 
 

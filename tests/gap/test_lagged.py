@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.data.lag import centred, drives, lagged, own_lag
+from candata.gap.data.lag import centred, drives, lag_moments, own_lag
 
 T = np.arange(200) / 80.0
 
@@ -26,16 +26,16 @@ def test_a_still_signal_has_no_lag():
 
 
 def test_the_slope_is_how_far_one_moves_with_the_other():
-    found = lagged(0.3 * wave() + 2.0, wave(), np.arange(3))
+    found = lag_moments(0.3 * wave() + 2.0, wave(), np.arange(3))
     assert found.slope()[0, 0, 0] == pytest.approx(0.3)
     assert found.r2()[0, 0, 0] == pytest.approx(1.0)
-    assert lagged(-wave(), wave(), np.arange(1)).r2()[0, 0, 0] == pytest.approx(-1.0)
+    assert lag_moments(-wave(), wave(), np.arange(1)).r2()[0, 0, 0] == pytest.approx(-1.0)
 
 
 def test_rows_that_were_not_seen_do_not_count(rng):
     q, u = wave(2.0) + 0.1, wave()
     q[:, 50:90] = np.nan
-    best = lagged(q, u, np.arange(5)).error()[:, 0, 0]
+    best = lag_moments(q, u, np.arange(5)).error()[:, 0, 0]
     assert best.argmin() == 2
     # What is left is rounding.
     assert best[2] == pytest.approx(0.0, abs=1e-12)

@@ -23,10 +23,10 @@ from candata.gap.verdict.next_motion import (
     Choice,
     Rivals,
     all_motions,
+    rival_excess,
     separating_motion,
     separations,
     usual_motions,
-    worse,
 )
 from candata.policies import Motion, command_limits
 from candata.schema.effect import EffectSetting
@@ -45,7 +45,7 @@ def test_a_rival_that_fits_after_a_refit_loses_nothing(white_score, rng):
     cause = 8 * rng.standard_normal(level.mask.shape).astype(np.float32)
     own = level.null[0]
     # The fit goes half the way: twice as much of it explains all, and leaves what the truth leaves.
-    losses = worse(level, own + cause, own + np.float32(0.5) * cause) + 1
+    losses = rival_excess(level, own + cause, own + np.float32(0.5) * cause) + 1
     best = int(np.argmin(losses.mean(1)))
     assert best == REFIT.index(2.0)
     assert losses[best] == pytest.approx(level.loss(own), rel=1e-4)
@@ -69,7 +69,7 @@ def test_a_motion_that_cannot_be_simulated_separates_nothing(tied, monkeypatch):
 def test_what_a_rival_cannot_explain_is_a_loss(white_score, rng):
     level = white_score(rng, episodes=4, size=400)
     cause, across = 4 * rng.standard_normal((2, *level.mask.shape)).astype(np.float32)
-    losses = worse(level, cause, cause + across)
+    losses = rival_excess(level, cause, cause + across)
     # Nothing of the cause lies along the fit, so the best refit leaves about as much as none at all.
     assert losses.mean(1).min() > 0.9 * losses.mean(1)[0] > 1
 
@@ -141,12 +141,12 @@ def test_motions_stay_within_the_limits_of_joints_and_actuators(hand):
 
 
 def test_too_little_data_asks_for_the_usual_motions(arm, arm_episodes, cube):
-    words, motions = proposal.more(arm, recordings(arm, arm_episodes(count=3)), 8)
+    words, motions = proposal.usual_proposal(arm, recordings(arm, arm_episodes(count=3)), 8)
     assert [m.name for m in motions] == ["free_sweep"] == [m.name for m in usual_motions(arm, 2.0)]
     assert (words.name, words.file) == ("the usual motions in turn", "motion.parquet")
     assert words.reason == "at least 5 more episodes, the object put back before each"
     # Enough episodes in which nothing moves are as good as none.
-    still, _ = proposal.more(arm, recordings(arm, arm_episodes(count=8)), 8)
+    still, _ = proposal.usual_proposal(arm, recordings(arm, arm_episodes(count=8)), 8)
     assert still.reason.startswith("at least 8 more episodes")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from candata.gap.data.noise import SMALLEST, sensor_noise
 from candata.gap.data.recordings import recordings
-from candata.gap.data.repetition import repeated
+from candata.gap.data.repetition import repeated_pairs
 from candata.gap.data.rounding import before_rounding, force_step
 from candata.gap.replay.replayer import Replayer, replay_all
 from candata.gap.replay.starts import starts
@@ -130,16 +130,16 @@ def played_again(plain_recordings, rng, size=0.002, copies=2, late=0):
 
 
 def test_repeats_are_episodes_of_the_same_commands(plain_recordings, rng):
-    assert repeated(played_again(plain_recordings, rng)) == [(0, 3), (1, 4), (2, 5)]
-    assert repeated(played_again(plain_recordings, rng, copies=3)) == [(0, 1), (3, 4), (4, 5)]
+    assert repeated_pairs(played_again(plain_recordings, rng)) == [(0, 3), (1, 4), (2, 5)]
+    assert repeated_pairs(played_again(plain_recordings, rng, copies=3)) == [(0, 1), (3, 4), (4, 5)]
     # A fifth shorter is another motion, a row is the logger's doing.
-    assert repeated(played_again(plain_recordings, rng, late=32)) == [(0, 3), (1, 4)]
-    assert repeated(played_again(plain_recordings, rng, late=1)) == [(0, 3), (1, 4), (2, 5)]
+    assert repeated_pairs(played_again(plain_recordings, rng, late=32)) == [(0, 3), (1, 4)]
+    assert repeated_pairs(played_again(plain_recordings, rng, late=1)) == [(0, 3), (1, 4), (2, 5)]
 
 
 def test_what_was_never_commanded_is_no_repeat(plain_recordings):
-    assert repeated(plain_recordings(joint_position=np.zeros((4, 40, 1)))) == []
-    assert repeated(plain_recordings(commands=np.ones((4, 40, 1)), joint_position=np.zeros((4, 40, 1)))) == []
+    assert repeated_pairs(plain_recordings(joint_position=np.zeros((4, 40, 1)))) == []
+    assert repeated_pairs(plain_recordings(commands=np.ones((4, 40, 1)), joint_position=np.zeros((4, 40, 1)))) == []
 
 
 @pytest.mark.parametrize("declared", [None, Noise(joint_position=0.002), Noise(joint_position=0.0005)])

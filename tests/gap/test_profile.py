@@ -11,7 +11,7 @@ from candata.gap.fit.candidates import candidate
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.folds import CrossFit
 from candata.gap.fit.response import Curve, Plane
-from candata.gap.validation.profile import COSTS, known
+from candata.gap.validation.profile import COSTS, known_numbers
 
 EPISODES = 16
 #: Spread over episodes of the coordinate with the least loss, of one that is bound to 0.3.
@@ -94,7 +94,7 @@ def known_by_resampling(problem, fit):
 
 def test_of_an_effect_with_an_end_only_that_end_is_known(arm):
     problem, fit = posed(arm, step(0.06), own=0.2)
-    found = known(problem, fit)
+    found = known_numbers(problem, fit)
     assert (found.no_low.tolist(), found.no_high.tolist()) == ([False], [True])
     assert 0.05 < found.low[0] < found.value[0] < 0.07
     assert found.value[0] < 0.2
@@ -102,7 +102,7 @@ def test_of_an_effect_with_an_end_only_that_end_is_known(arm):
 
 def test_a_flat_stretch_that_ends_before_the_bound_is_an_interval_of_two_ends(arm):
     problem, fit = posed(arm, step(0.06, top=0.2), own=0.1)
-    found = known(problem, fit)
+    found = known_numbers(problem, fit)
     assert not found.no_low[0]
     assert not found.no_high[0]
     assert (found.low[0], found.high[0]) == pytest.approx((0.06, 0.2), abs=2 * SPREAD)
@@ -113,7 +113,7 @@ def test_where_the_loss_rises_to_both_sides_few_worlds_are_simulated_and_the_int
     problem, fit = posed(arm, valley(0.1), own=0.1)
     resampled(monkeypatch)
     problem.tried.clear()
-    found = known(problem, fit)
+    found = known_numbers(problem, fit)
     assert len(problem.tried) <= 5
     assert not (found.no_low | found.no_high).any()
     assert (*found.low, *found.high) == pytest.approx(np.ravel(known_by_resampling(problem, fit)))
@@ -126,7 +126,7 @@ def test_it_holds_the_truth_about_nine_times_in_ten(arm, monkeypatch):
         rng = np.random.default_rng([seed, 1])
         own = float(0.1 + SPREAD / np.sqrt(EPISODES) * rng.standard_normal())
         problem, fit = posed(arm, valley(own), own, seed)
-        found = known(problem, fit)
+        found = known_numbers(problem, fit)
         hits.append(found.low[0] <= 0.1 <= found.high[0])
     # 150 draws scatter by 0.025.
     assert 0.84 <= np.mean(hits) <= 0.97
@@ -139,17 +139,17 @@ def test_a_rise_that_costs_less_than_a_nat_is_none_however_alike_in_all_episodes
     def rise(u, off):
         return np.maximum(0.06 + off - u, 0) ** 2 + tiny / 1e4 * np.clip((u - 0.1) / 0.2, 0, 1)
 
-    assert known(*posed(arm, rise, own=0.1)).no_high[0]
+    assert known_numbers(*posed(arm, rise, own=0.1)).no_high[0]
 
     def plain(u, off):
         return np.maximum(0.06 + off - u, 0) ** 2 + 8 * tiny / 1e4 * np.clip((u - 0.1) / 0.01, 0, 1)
 
-    assert not known(*posed(arm, plain, own=0.1)).no_high[0]
+    assert not known_numbers(*posed(arm, plain, own=0.1)).no_high[0]
 
 
 def test_a_number_that_stopped_at_its_bound_is_known_from_the_other_side(arm):
     c = candidate("backlash", arm, arm.file.joints[0])
-    found = known(*posed(arm, valley(c.high[0] + 0.05), own=float(c.high[0])))
+    found = known_numbers(*posed(arm, valley(c.high[0] + 0.05), own=float(c.high[0])))
     assert (found.no_low.tolist(), found.no_high.tolist()) == ([False], [True])
     assert found.low[0] > 0.28
 
@@ -160,7 +160,7 @@ def test_where_the_loss_has_not_even_risen_at_the_effects_absence_the_interval_s
     monkeypatch.setattr(
         "candata.gap.validation.profile.intervals", lambda problem, fit: (np.array([0.08]), np.array([0.12]))
     )
-    found = known(problem, fit)
+    found = known_numbers(problem, fit)
     assert (found.low, found.value, found.high) == (0.08, 0.1, 0.12)
     assert not (found.no_low | found.no_high).any()
 
@@ -186,7 +186,7 @@ def test_of_a_set_each_only_number_is_tried_with_the_others_held_and_vectors_and
     flat = np.zeros((EPISODES, 30), np.float32)
     fit = Fit(members, Plane(at, at, at, flat, np.zeros((size, *flat.shape))), CrossFit(*np.zeros((3, 1, 1))))
     monkeypatch.setattr("candata.gap.validation.profile.intervals", lambda problem, fit: (at - 0.01, at + 0.01))
-    found = known(problem, fit)
+    found = known_numbers(problem, fit)
     assert found.no_high.tolist() == [True, False, False, False, False]
     assert not found.no_low.any()
     assert 0.04 < found.value[0] < 0.06

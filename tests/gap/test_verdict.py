@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from candata.gap.verdict.verdict import class_of, unknown, verdict
+from candata.gap.verdict.verdict import class_of, unnamed_cause, verdict
 from candata.schema.report import Gap, Symptom
 
 SYMPTOMS = (
@@ -101,23 +101,23 @@ def test_what_was_measured_is_no_name_too_many():
 
 @pytest.mark.parametrize("word", ["no_gap", "explained", "ambiguous", "too_little_data"])
 def test_nothing_is_unknown_where_all_is_said(word):
-    assert unknown(word, found(True), SYMPTOMS, "object", 0.2, "rad") is None
+    assert unnamed_cause(word, found(True), SYMPTOMS, "object", 0.2, "rad") is None
 
 
 def test_what_remains_says_where_how_much_and_when():
-    some = unknown("partly_explained", found(True), SYMPTOMS, "object", 0.2, "rad")
+    some = unnamed_cause("partly_explained", found(True), SYMPTOMS, "object", 0.2, "rad")
     assert (some.acts_on, some.element, some.size, some.unit) == ("object", "rotation z", 0.2, "rad")
     assert some.depends_on == ("release", "onset")
     assert some.words == "A difference remains in object pose rotation z during release, typically 0.2 rad"
 
 
 def test_an_unknown_effect_names_the_nearest_and_says_it_is_not_it():
-    words = unknown("unknown_effect", found(remains=True), SYMPTOMS, "object", 0.2, "rad").words
+    words = unnamed_cause("unknown_effect", found(remains=True), SYMPTOMS, "object", 0.2, "rad").words
     assert words.endswith("; the nearest effect of the library is object_mass, which does not explain it")
 
 
 def test_a_difference_that_stands_out_nowhere_is_said_to():
-    some = unknown("partly_explained", found(True), (), None, None, None)
+    some = unnamed_cause("partly_explained", found(True), (), None, None, None)
     assert some.words == "A difference remains that no single channel or phase stands out in"
     assert (some.acts_on, some.element, some.depends_on) == (None, None, ())
 

@@ -17,7 +17,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.report import NamedEffect
 
 
-def opened(
+def opened_outcomes(
     places: Sequence[Place],
     results: Sequence[CaseResult],
     labels: dict[str, Label],

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from candata.errors import UsageError, Where
 from candata.gap.blind.honesty import RESAMPLES
-from candata.gap.blind.runs import RESULTS, known
+from candata.gap.blind.runs import RESULTS, standing_results
 from candata.schema.bench import (
     BenchFile,
     CaseResult,
@@ -192,7 +192,7 @@ def _opened(folder: Path) -> dict[str, ScoredResult]:
                 fix="score the cases first",
             )
     score = BenchFile.parse(read_json(folder / SCORE), folder / SCORE)
-    results, scores = known(folder), {one.sealed: one for one in score.scores}
+    results, scores = standing_results(folder), {one.sealed: one for one in score.scores}
     if set(scores) != set(results):
         raise UsageError(
             f"{SCORE} is not the score of all results",

@@ -59,7 +59,7 @@ def follow_up(
         if p.sealed in asked - set(standing):
             both = str((out / FOLDER / p.folder.name).resolve())
             label = labels[p.folder.name].model_dump_json()
-            judge = partial(again, label=label, folder=both, sealed=p.sealed)
+            judge = partial(second_answer, label=label, folder=both, sealed=p.sealed)
             tasks.append((*p.anywhere, seed, METHOD, judge, str((out / CACHE).resolve())))
     for found in spread(out / FOLLOWED, run_case, tasks, crew):
         standing[found.sealed] = found
@@ -73,7 +73,7 @@ def proposes(result: CaseResult) -> bool:
     return bool(report and report.ambiguous_class and report.next_motion and report.next_motion.file)
 
 
-def again(
+def second_answer(
     case: Dataset, scene: Scene, seed: int, cache: Path | None, *, label: str, folder: str, sealed: str
 ) -> Answer:
     """Return the answer to a case with the proposed motion recorded beside its own, in `folder`; a judge of cases.

@@ -97,7 +97,7 @@ def run_cases(
         Time [s since the epoch] from which on no case is begun: those have no result.
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
-    standing = known(out, method)
+    standing = standing_results(out, method)
     sharing = Counter(p.nominal for p in cases)
     cold = {p.sealed for p in cases[: min(max(len(cases) // COLD_EACH, 1), COLD)]}
     cold |= {p.sealed for p in cases if sharing[p.nominal] == 1}
@@ -112,7 +112,7 @@ def run_cases(
     return [standing[p.sealed] for p in cases if p.sealed in standing]
 
 
-def known(out: Path, method: str = "candata") -> dict[str, CaseResult]:
+def standing_results(out: Path, method: str = "candata") -> dict[str, CaseResult]:
     """Return the results that stand in a folder, by the hash of the case's label."""
     return {r.sealed: r for r in finished(out / RESULTS, CaseResult) if r.method == method}
 

@@ -20,7 +20,7 @@ from candata.gap.blind.runs import Place
 from candata.gap.data.recordings import Recordings, read
 from candata.gap.fit.folds import FEWEST
 from candata.gap.fit.problem import Problem
-from candata.gap.fit.signature_keys import alike
+from candata.gap.fit.signature_keys import share_signatures
 from candata.gap.preparation import posed
 from candata.gap.replay.replayer import EffectSet, Replayer
 from candata.gap.replay.starts import Starts, starts
@@ -120,7 +120,10 @@ def shared_by(places: Sequence[Place], cache: Path, seed: int) -> Source | None:
     Cases share commands, but a sensor at fault can shift where one of them starts.
     """
     looked = [(p, b) for p in places[:PEEK] if (b := _begun(p)) is not None and not is_toss(b.replayer.scene)]
-    shared = [sum(p.nominal == q.nominal and alike(a.replayer, a.begun, b.begun) for q, b in looked) for p, a in looked]
+    shared = [
+        sum(p.nominal == q.nominal and share_signatures(a.replayer, a.begun, b.begun) for q, b in looked)
+        for p, a in looked
+    ]
     if len(looked) < 2 or 2 * max(shared) <= len(looked):
         return None
     place = looked[shared.index(max(shared))][0]

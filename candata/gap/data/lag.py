@@ -106,7 +106,7 @@ class Lagged:
         return self.cov / np.maximum(self.var_u, 1e-30)
 
 
-def lagged(q: Array, u: Array, lags: Index) -> Lagged:
+def lag_moments(q: Array, u: Array, lags: Index) -> Lagged:
     """Return the moments of `q (E, T, J)` (NaN where not seen) against `u (E, T, S)` at each lag.
 
     Each lag is judged on the same rows, so that errors can be compared between lags.
@@ -148,7 +148,7 @@ def own_lag(q: Array, other: Array, reach: int) -> Array:
     and for still signals.
     """
     lags = np.arange(-reach, reach + 1)
-    found = lagged(centred(q), centred(other), lags)
+    found = lag_moments(centred(q), centred(other), lags)
     r2 = np.diagonal(found.r2(), axis1=1, axis2=2)
     best = r2.argmax(0)
     out = np.full(q.shape[2], np.nan)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.data.recordings import Recordings, block_rows
-from candata.gap.data.repetition import repeated
+from candata.gap.data.repetition import repeated_pairs
 from candata.gap.data.rounding import Readings, before_rounding, dithered, force_step, joint_step
 from candata.gap.data.velocity import joint_velocity
 from candata.gap.data.white_noise import (
@@ -133,7 +133,7 @@ def _of_quantities(
     told, least = _sizes(declared or Noise(), slides), _smallest(slides)
     step, joint_steps = force_step(recs.readings), joint_step(recs.readings)
     even = replace(recs, readings=dithered(recs.readings, step, joint_steps))
-    pairs = repeated(recs)
+    pairs = repeated_pairs(recs)
     kind: NoiseKind = "measured" if len(pairs) >= PAIRS else "assumed"
     calm, calm_count = white_estimates(even, None, slides)
     variance, count = np.minimum(calm, variances(even, replayed, slides)), calm_count

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 ALIKE = 0.01
 
 
-def repeated(recs: Recordings) -> list[tuple[int, int]]:
+def repeated_pairs(recs: Recordings) -> list[tuple[int, int]]:
     """Return pairs of episodes in which the same commands were played; a third repeat is paired with the second."""
     spread = np.ptp(recs.commands, axis=(0, 1)) if recs.commands.size else np.zeros(0)
     moving = spread > 0
@@ -32,7 +32,7 @@ def repeated(recs: Recordings) -> list[tuple[int, int]]:
 def repeat_groups(recs: Recordings) -> list[list[int]]:
     """Return the episodes of each motion that was played more than once."""
     groups: list[list[int]] = []
-    for first, second in repeated(recs):
+    for first, second in repeated_pairs(recs):
         group = next((g for g in groups if first in g), None)
         if group is None:
             groups.append([first, second])

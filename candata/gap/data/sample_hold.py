@@ -51,7 +51,7 @@ def _is_held(gaps: Rows) -> bool:
     return bool(usual >= 2 and regular >= REGULAR and (gaps == 1).mean() <= AT_ONCE)
 
 
-def held(values: Array, rows: Rows | None) -> Array:
+def held_readings(values: Array, rows: Rows | None) -> Array:
     """Return values `(E, T, ...)` as a sensor holds them that is new only in `rows (E, T)`; as they are for None."""
     if rows is None:
         return values

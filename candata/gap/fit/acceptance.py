@@ -77,10 +77,10 @@ def _is_worth(best: Fit, fit: Fit, tasks: Sequence[str], names: int) -> bool:
 
 def is_full(members: Members, measured: Members) -> bool:
     """Tell whether a set holds as many effects as are searched for."""
-    return searched(members, measured) >= LARGEST
+    return searched_count(members, measured) >= LARGEST
 
 
-def searched(members: Members, measured: Members) -> int:
+def searched_count(members: Members, measured: Members) -> int:
     """Return how many members of a set were searched for; one that was measured directly takes no place."""
     known = {c.name for c, _ in measured}
     return sum(c.name not in known for c, _ in members)

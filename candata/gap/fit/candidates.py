@@ -249,7 +249,7 @@ def _first(count: int, nearest: bool) -> tuple[int, ...]:
     return ((0,) if nearest else ()) + ((count - 1) // 2, count - 1)
 
 
-def everywhere(c: Candidate, u: Array, scene: Scene) -> tuple[Candidate, Array]:
+def widespread(c: Candidate, u: Array, scene: Scene) -> tuple[Candidate, Array]:
     """Return the effect of which `c` is the variant on one element, as strong there; other numbers are neutral."""
     whole = candidate(c.name, scene)
     at = whole.neutral.copy()

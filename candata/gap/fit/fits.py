@@ -83,7 +83,7 @@ class Fit:
         return tuple(out)
 
 
-def present(members: Members) -> Members:
+def acting_members(members: Members) -> Members:
     """Return the members that are not at their neutral values."""
     return tuple((c, u) for c, u in members if not c.is_neutral(u))
 

@@ -30,7 +30,7 @@ OWN_CODE = (
 SAME_PLACE, SAME_TURN = 0.02, 0.1
 
 
-def alike(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:
+def share_signatures(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:
     """Tell whether diagnoses of two sets of recordings share their signatures."""
     same = key_of_commands(replayer, *one) == key_of_commands(replayer, *other)
     return same and _is_same(replayer.scene, one[1], other[1])
@@ -75,7 +75,7 @@ def known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts
     same = [(own, found) for own, found in read if _is_same(scene, found, begin)]
     nearest = min(same, key=lambda pair: float(np.abs(pair[1].qpos - begin.qpos).max()), default=None)
     if nearest is not None:
-        cache.used(nearest[0])
+        cache.mark_used(nearest[0])
     return nearest
 
 
@@ -83,7 +83,7 @@ def new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:
     """Return a new folder for signatures from a start, and that start."""
     arrays = begin.arrays
     own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
-    cache.used(own)
+    cache.mark_used(own)
     cache.keep(own / "starts.npz", **arrays)
     return own, begin
 

@@ -236,7 +236,7 @@ def library(
     known = known_start(place, begin, replayer.scene) if share is not False else None
     if known is None and not share:
         own_place = place / f"seen-{content_of(recs, begin)}"
-        cache.used(own_place)
+        cache.mark_used(own_place)
         return Library(replayer, recs, begin, flat, raw, own_place, True, told=told)
     folder, shared = known or new_start(place, begin)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)

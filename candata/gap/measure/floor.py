@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from candata.gap.data.deviation import COLUMNS, shifted_readings
 from candata.gap.data.recordings import Recordings
-from candata.gap.data.sample_hold import held
+from candata.gap.data.sample_hold import held_readings
 from candata.gap.replay.hand_starts import STILL_ROWS
 from candata.gap.replay.replayer import EffectSet, Replayer, read_alike, replay, true_start
 from candata.gap.replay.residuals import Layout, residual
@@ -90,7 +90,7 @@ def null_recordings(
         readings = shifted_readings(readings, deviations)
     noisy = add_noise(readings, noise, rng)
     for name, values in taken.readings.items():
-        noisy[name] = np.where(np.isfinite(values), held(noisy[name], taken.sources.get(name)), np.nan)
+        noisy[name] = np.where(np.isfinite(values), held_readings(noisy[name], taken.sources.get(name)), np.nan)
     return replace(taken, readings=noisy, misfit=None)
 
 
@@ -177,13 +177,13 @@ def null_residuals(
 def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
     """Return the floor of null residuals `(R, E, B, D)`; those outside the plan's phases do not count."""
     seen = np.where((plan.phase >= 0)[..., None], null, np.nan)
-    least = smallest(plan, noise)
+    least = smallest_spread(plan, noise)
     parts = min(PARTS, len(seen)) if len(seen) > 1 else 0
     without = [_sigma(plan, np.delete(seen, slice(p, None, parts), 0), least) for p in range(parts)]
     return Floor(_sigma(plan, seen, least), seen, np.array(without).reshape(parts, *seen.shape[1:]))
 
 
-def smallest(plan: Layout, noise: Noise) -> Array:
+def smallest_spread(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
     # Rounding of a reading that is still does not average out: step / sqrt(12) is the deviation of a uniform error.
     by_joint = np.hypot(noise.joint_position, np.sqrt(plan.rows / 12) * np.asarray(noise.joint_step))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.data.lag import Drives, Lagged, at_best, centred, drives, lagged, own_lag
+from candata.gap.data.lag import Drives, Lagged, at_best, centred, drives, lag_moments, own_lag
 from candata.gap.data.recordings import Recordings
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
 from candata.scenes import Scene
@@ -61,7 +61,7 @@ class Paired:
 
     def moved_as(self, joint: Array) -> Paired:
         """Return the same commands beside other joints `(E, T, S)`."""
-        return replace(self, joint=joint, found=lagged(joint, self.target, self.found.lags))
+        return replace(self, joint=joint, found=lag_moments(joint, self.target, self.found.lags))
 
     @property
     def quiet(self) -> Array:
@@ -77,14 +77,14 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
     target, joint = drive.targets(recs.commands), recs.readings["joint_position"][..., drive.joints]
     lags = np.arange(min(int(REACH_S * scene.file.rate_hz), target.shape[1] // 3) + 1)
     names = tuple(scene.file.joints[j] for j in drive.joints)
-    return Paired(drive, names, target, joint, lagged(joint, target, lags))
+    return Paired(drive, names, target, joint, lag_moments(joint, target, lags))
 
 
 def unit_findings(scene: Scene, p: Paired) -> list[RecordingMismatch]:
     """Return joints that follow their command at the factor of another unit."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
     follows = (r2 > FOLLOWS) & moving(p)
-    commanded, out = within(p.target) > 1e-3, []
+    commanded, out = episode_spread(p.target) > 1e-3, []
     factors = np.array([1 / f for f in UNITS.values()] + list(UNITS.values()))
     ratio = np.abs(np.log(np.maximum(np.abs(slope), 1e-9)[:, None] / factors))
     for k, unit in enumerate([*UNITS, *UNITS]):
@@ -117,7 +117,7 @@ def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
 
 def moving(p: Paired) -> NDArray[np.bool_]:
     """Return `(S,)` whether a joint moves within episodes by clearly more than its noise."""
-    return within(p.joint) > 5 * p.quiet + 1e-6
+    return episode_spread(p.joint) > 5 * p.quiet + 1e-6
 
 
 def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> bool:
@@ -136,8 +136,8 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
         True,
         f"{channel} looks like {unit}",
         "rad, or m for slides: a joint moves by about 1 when its command does",
-        f"it moves by {np.median(slope[some]):.3g} ({listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
-        "as large",
+        f"it moves by {np.median(slope[some]):.3g} ({enumeration(names)}), "
+        f"as if {channel} were {UNITS[unit]:.4g} times as large",
         f"give the unit of these columns in map.yaml: {MAPPED[unit]}",
         channel,
         names,
@@ -152,7 +152,7 @@ def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismat
         True,
         "commands are not in the joints' unit",
         "about 1 rad of motion for 1 rad of command",
-        f"{np.median(slope[some]):.3g} ({listed(names)})",
+        f"{np.median(slope[some]):.3g} ({enumeration(names)})",
         "scale the commands to joint targets in rad (m for slides)",
         "action",
         names,
@@ -167,7 +167,7 @@ def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMism
         True,
         "joints run against their commands",
         "one sign for command and joint",
-        f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({listed(names)})",
+        f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({enumeration(names)})",
         "turn the sign of the command or of the joint",
         "action",
         names,
@@ -181,7 +181,7 @@ def late(p: Paired, nominal: Array) -> Array:
     return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & moving(p), rows, np.nan)
 
 
-def within(values: Array) -> Array:
+def episode_spread(values: Array) -> Array:
     """Return `(S,)` the standard deviation within episodes of `values (E, T, S)`, 0 where nothing was seen."""
     own = centred(values)
     count = np.isfinite(own).sum((0, 1))
@@ -193,7 +193,7 @@ def joint_and_command(p: Paired, some: NDArray[np.bool_]) -> tuple[str, ...]:
     return tuple(n for n, s in zip(p.names, some, strict=True) if s)
 
 
-def listed(names: Sequence[str], most: int = 6) -> str:
+def enumeration(names: Sequence[str], most: int = 6) -> str:
     """Return names as text, the first few."""
     rest = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + rest

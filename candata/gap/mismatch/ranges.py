@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.data.lag import at_best, lagged
+from candata.gap.data.lag import at_best, lag_moments
 from candata.gap.data.recordings import Recordings
 from candata.gap.mismatch.bounds import ROWS, Beyond, commands_beyond, joints_beyond
 from candata.gap.mismatch.commands import UNIT_WITHIN, Paired
@@ -79,7 +79,7 @@ def range_findings(scene: Scene, recs: Recordings, pairs: Paired | None) -> list
 
 def _following(b: Beyond, p: Paired, episodes: Mask) -> _Following:
     """Return how joints follow commands in some episodes."""
-    found = lagged(p.joint[episodes], p.target[episodes], p.found.lags)
+    found = lag_moments(p.joint[episodes], p.target[episodes], p.found.lags)
     r2 = np.abs(found.r2())
     best = r2.argmax(0)
     each = at_best(r2, best)
@@ -130,7 +130,7 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
         )
     other = "" if alone else f", and look at {'action' if b.channel == 'joint_position' else 'joint_position'} too"
     where = "" if episodes.all() else " of these episodes"
-    columns_of = mapped(b.channel, unit, b.names if b.mixed else ())
+    columns_of = unit_setting(b.channel, unit, b.names if b.mixed else ())
     return RecordingMismatch(
         kind,
         sure,
@@ -152,7 +152,7 @@ def _reach(b: Beyond, columns: NDArray[np.int64]) -> str:
     return f"{b.names[c]} reaches {size.max():.4g}, its range is {b.low[c]:.4g} to {b.high[c]:.4g}{others}"
 
 
-def mapped(channel: str, unit: str, columns: tuple[str, ...] = ()) -> str:
+def unit_setting(channel: str, unit: str, columns: tuple[str, ...] = ()) -> str:
     """Return how map.yaml says that a channel is in a unit, or some of its columns."""
     if not columns:
         return f"`units: {{{channel}: {unit}}}`"

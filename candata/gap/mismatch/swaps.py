@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from candata.gap.data.lag import lagged
+from candata.gap.data.lag import lag_moments
 from candata.gap.data.recordings import Recordings
 from candata.gap.mismatch.commands import Paired
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
@@ -86,7 +86,7 @@ def _asked(cost: Array) -> list[tuple[int, ...]]:
 
 def _cost(p: Paired, episode: int) -> Array:
     """Return `(S, S)` the log squared error of each joint with each command in one episode, at its best lag."""
-    found = lagged(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.found.lags)
+    found = lag_moments(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.found.lags)
     away = np.abs(found.mean_q[:, :, None] - found.mean_u)
     error = (found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
     # A joint that was not seen has no say.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from candata.effects import effect
 from candata.gap.data.recordings import Recordings
 from candata.gap.fit.candidates import candidate
-from candata.gap.mismatch.commands import Paired, late, paired, within
+from candata.gap.mismatch.commands import Paired, episode_spread, late, paired
 from candata.gap.mismatch.poses import evenly
 from candata.gap.mismatch.readings import Votes, errors, votes
 from candata.gap.mismatch.recording_mismatch import Comparison, RecordingMismatch
@@ -174,7 +174,7 @@ def _ahead(commands: Array, steps: int) -> Array:
 
 def _apart(pairs: Paired, own: Array) -> float:
     """Return the median over moving joints of the RMS difference to `own (E, T, S)`, over each joint's spread."""
-    size, spread = within(pairs.joint - own), within(pairs.joint)
+    size, spread = episode_spread(pairs.joint - own), episode_spread(pairs.joint)
     moving = spread > 5 * pairs.quiet + 1e-6
     return float(np.median(size[moving] / spread[moving])) if moving.any() else np.inf
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.data.recordings import Recordings
-from candata.gap.mismatch.commands import Paired, joint_and_command, listed, moving, within
+from candata.gap.mismatch.commands import Paired, enumeration, episode_spread, joint_and_command, moving
 from candata.gap.mismatch.recording_mismatch import RecordingMismatch
 from candata.scenes import Scene
 
@@ -53,7 +53,7 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[RecordingMism
 
 def still_findings(recs: Recordings, p: Paired) -> list[RecordingMismatch]:
     """Return that nothing moves, where neither commands nor joints nor the object do."""
-    commanded = within(p.target) > 1e-3
+    commanded = episode_spread(p.target) > 1e-3
     moved = "object_pose" in recs.readings and bool(
         (np.nanstd(recs.readings["object_pose"][..., :3], axis=1) > 0.005).any()
     )
@@ -81,8 +81,8 @@ def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
         What the scene's own joints do under the recorded commands, open loop.
     """
     seen = np.isfinite(p.joint)
-    asked, own = (within(np.where(seen, v, np.nan)) for v in (p.target, nominal))
-    real = within(p.joint)
+    asked, own = (episode_spread(np.where(seen, v, np.nan)) for v in (p.target, nominal))
+    real = episode_spread(p.joint)
     commanded = asked > np.maximum(0.01, 10 * p.quiet)
     dead = commanded & (own > 0.3 * asked) & (real < np.maximum(DEAD * own, 1.5 * p.quiet))
     stuck = commanded & (own < 0.1 * asked) & (real > 0.5 * asked)
@@ -96,7 +96,7 @@ def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
                 False,
                 "neither the recorded joints nor the scene's follow their commands",
                 "joints that move when commanded",
-                f"still: {listed(names)}",
+                f"still: {enumeration(names)}",
                 "look at ranges, gains and links that collide; these joints tell nothing",
                 "joint_position",
                 names,
@@ -110,7 +110,7 @@ def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
                 True,
                 "joints of the scene do not follow their commands",
                 "the scene's joints move as the recorded ones do",
-                f"still: {listed(names)}",
+                f"still: {enumeration(names)}",
                 "look at the model: limits, gains, links that collide, equalities",
                 "joint_position",
                 names,
@@ -125,7 +125,7 @@ def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
                 most,
                 "recorded joints do not follow their commands",
                 "joints that move when commanded",
-                f"still: {listed(names)}",
+                f"still: {enumeration(names)}",
                 "look at motor, wire and encoder"
                 if most
                 else "held where they were read and left out, not identifiable",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from candata.gap.data.noise import SMALLEST, SMALLEST_SLIDE_M
 from candata.gap.data.recordings import Recordings
 from candata.gap.data.robust_loss import rho
-from candata.gap.replay.memory import State, hides_state, integrated, lead_rows, led, recorded_dofs, settled
+from candata.gap.replay.memory import State, hides_state, integrated, lead_rows, led_state, recorded_dofs, settled
 from candata.gap.replay.shooting import HORIZON_S, Shown, shot, unknowns
 from candata.gap.replay.smoother import fitted, half_rows, pose_fit, pose_of, tangent, twist_of
 from candata.rotation import difference, exp, multiply
@@ -233,7 +233,7 @@ def _in_motion(scene: Scene, recs: Recordings, rest: State, threads: int) -> tup
         start.qpos[:, at], start.qvel[:, dofs] = path[row]
         return start, first
     positions, speeds = (np.stack(parts, 1) for parts in zip(*path[: row + 1], strict=True))
-    start = led(scene, recs.commands[:, : row + 1], first, positions, speeds, threads)
+    start = led_state(scene, recs.commands[:, : row + 1], first, positions, speeds, threads)
     start.qpos[:, at], start.qvel[:, dofs] = path[row]
     faster = np.zeros_like(start.qvel)
     faster[:, dofs] = (path[row + 1].qvel - path[row - 1].qvel) * rate / 2

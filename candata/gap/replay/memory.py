@@ -91,7 +91,7 @@ def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> Sta
     return state
 
 
-def led(scene: Scene, commands: Array, state: State, path: Array, speed: Array, threads: int = 1) -> State:
+def led_state(scene: Scene, commands: Array, state: State, path: Array, speed: Array, threads: int = 1) -> State:
     """Return the state at the end of a path along which the recorded joints are led.
 
     Parameters

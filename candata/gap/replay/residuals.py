@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError
 from candata.gap.data.recordings import BLOCK_S, Recordings, block_rows
-from candata.gap.data.sample_hold import held
+from candata.gap.data.sample_hold import held_readings
 from candata.gap.replay.effort import foretold_effort
 from candata.gap.replay.starts import Starts, reach
 from candata.rotation import difference
@@ -136,7 +136,9 @@ def row_residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> 
         else:
             some = [(recorded - replayed).reshape(*recorded.shape[:2], -1)]
         slow = recs.sources.get(channel)
-        parts += some if slow is None else [np.where(np.isfinite(part), held(part, slow), np.nan) for part in some]
+        parts += (
+            some if slow is None else [np.where(np.isfinite(part), held_readings(part, slow), np.nan) for part in some]
+        )
     joined = np.concatenate(parts, axis=-1)
     joined[:, 0, [c in OF_THE_STEP for c, _, _ in plan.columns]] = np.nan
     return joined

@@ -54,7 +54,7 @@ def read(file: Path | None) -> dict[str, NDArray] | None:
         return {name: kept[name] for name in kept.files}
 
 
-def used(own: Path) -> None:
+def mark_used(own: Path) -> None:
     """Mark a set as used now; before a new one is begun, those used longest ago go if the cache is too large."""
     try:
         os.utime(own)

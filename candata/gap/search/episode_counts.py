@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.fit.candidates import Candidate, everywhere, probes
+from candata.gap.fit.candidates import Candidate, probes, widespread
 from candata.gap.fit.comparison import null_level, standard_error
 from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.folds import CrossFit, rest
@@ -207,7 +207,7 @@ def _with_all(problem: Problem, found: Sequence[Member]) -> list[Member]:
     By the mean loss one element may gain where all of them gain nothing. (Of a friction of everything times 0.55, that
     of the fingertips gained 0.6 floors alone, and left 2.4 in its own world, where nulls reach 1.5.)
     """
-    wide = [everywhere(c, u, problem.replayer.scene) for c, u in found if c.element is not None]
+    wide = [widespread(c, u, problem.replayer.scene) for c, u in found if c.element is not None]
     return list({c.label: (c, u) for c, u in (*wide, *found) if c.size == 1}.values())
 
 

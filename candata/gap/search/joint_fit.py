@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from candata.gap.data.robust_loss import weights
 from candata.gap.fit.candidates import Candidate
 from candata.gap.fit.comparison import standard_error
-from candata.gap.fit.fits import Fit, Members, present
+from candata.gap.fit.fits import Fit, Members, acting_members
 from candata.gap.fit.folds import CrossFit, rest
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
@@ -246,7 +246,7 @@ def _without(quantities: Quantities, folds: Sequence[_Fold], fixed: NDArray[np.b
     for fold in folds:
         u = refitted(quantities, fold.place, fold.train, fixed)
         part = taken(quantities.problem, fold.test)
-        (z[fold.test],) = part.residuals([part.setting(present(quantities.members(u)))])
+        (z[fold.test],) = part.residuals([part.setting(acting_members(quantities.members(u)))])
     return z
 
 

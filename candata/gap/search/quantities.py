@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 
 from candata.gap.data.robust_loss import rho, weights
 from candata.gap.fit.candidates import Candidate, typical_size
-from candata.gap.fit.fits import Members, present
+from candata.gap.fit.fits import Members, acting_members
 from candata.gap.fit.folds import FOLDS
 from candata.gap.fit.problem import Problem
 from candata.gap.measure.score import Compact
@@ -82,7 +82,7 @@ class Quantities:
     def residuals(self, places: Sequence[Array]) -> list[Compact]:
         """Return normalised residuals `(E, K)` at each place, all simulated together."""
         self.allowance.spend(len(places) * len(self.problem.recs) / self.whole)
-        return self.problem.residuals([self.problem.setting(present(self.members(u))) for u in places])
+        return self.problem.residuals([self.problem.setting(acting_members(self.members(u))) for u in places])
 
     def slopes(self, u: Array, z: Compact, width: float) -> Compact:
         """Return `(d, E, K)` how residuals change with each coordinate, by differences towards the wider side."""

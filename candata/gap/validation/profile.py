@@ -108,15 +108,15 @@ class _Side:
         return max(d for d, rise in self.tried.items() if d <= self.flat and rise <= AS_WELL)
 
 
-def known(problem: Problem, fit: Fit) -> Known:
+def known_numbers(problem: Problem, fit: Fit) -> Known:
     """Return what is known of each number of a fit.
 
-    Intervals come from resampling and curvature (`shrink.intervals`). Of each number that is a member's only one, the
-    others held where they are, the loss is simulated twice as far out to both sides, at the effect's absence on one
-    side and at the bound on the other. Where it has not risen so near, the end is where it first has; where it has
-    surely risen nowhere up to the bound, that end is not known. Where it has not risen at the effect's absence either,
-    replays of single episodes do not tell the number. Its interval stays as it is, and so do those of choices and
-    vectors.
+    Intervals come from resampling and curvature (`validation/intervals.py`). Of each number that is the only one of its
+    member, the others held where they are, the loss is simulated twice as far out to both sides, at the effect's
+    absence on one side and at the bound on the other. Where it has not risen so near, the end is where it first has;
+    where it has surely risen nowhere up to the bound, that end is not known. Where it has not risen at the effect's
+    absence either, replays of single episodes do not tell the number. Its interval stays as it is, and so do those of
+    choices and vectors.
     """
     low, high = intervals(problem, fit)
     own = np.concatenate([u for _, u in fit.members])

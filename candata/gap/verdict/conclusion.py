@@ -22,16 +22,16 @@ from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.replay.residuals import residual
 from candata.gap.validation.closure import HeldOut, gap, measures, shares, support, trust
-from candata.gap.validation.profile import Known, known
+from candata.gap.validation.profile import Known, known_numbers
 from candata.gap.verdict.example import example
 from candata.gap.verdict.exhibits import collinearity, elements, ranges
 from candata.gap.verdict.figures import EpisodeLosses, Evidence
 from candata.gap.verdict.findings import Diagnosis, Findings, judged_problem, simulator
-from candata.gap.verdict.proposal import more, separating
+from candata.gap.verdict.proposal import separating, usual_proposal
 from candata.gap.verdict.provenance import data_used, given_note, provenance
 from candata.gap.verdict.regime import with_regimes
 from candata.gap.verdict.unknown_cause import Described, describe, described, outdoing, unseating
-from candata.gap.verdict.verdict import class_of, unknown, verdict
+from candata.gap.verdict.verdict import class_of, unnamed_cause, verdict
 from candata.scenes import Scene
 from candata.scenes.traits import is_toss
 from candata.schema.effect import Value
@@ -76,7 +76,7 @@ def concluded(f: Findings) -> Diagnosis:
     named: tuple[NamedEffect, ...] = ()
     repaired: EffectSet = ()
     if chosen and word in ("explained", "partly_explained"):
-        ends = known(judged_problem(f), chosen)
+        ends = known_numbers(judged_problem(f), chosen)
         named = _named(f, chosen, ends, trust(size))
         repaired = f.problem.setting(chosen.split(ends.value))
     rest = better or _rest(f, word, repaired, left)
@@ -84,7 +84,9 @@ def concluded(f: Findings) -> Diagnosis:
         verdict=word,
         effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
-        unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
+        unknown=rest.unknown
+        if rest
+        else unnamed_cause(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
         ranking=ranked(f.found.first, f.problem),
         gap=size,
         where=where,
@@ -251,7 +253,7 @@ def ranked(first: Stage, problem: Problem) -> tuple[RankedEffect, ...]:
 def too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
     """Return the verdict that there are too few episodes, or none that moves."""
     few = [f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out"] * (len(recs) < FEWEST)
-    proposed, motion = more(scene, recs, FEWEST)
+    proposed, motion = usual_proposal(scene, recs, FEWEST)
     report = Report(
         verdict="too_little_data",
         data=DiagnosisData(

@@ -237,10 +237,10 @@ def _losses(rivals: Rivals, recs: Recordings, truth: EffectSet, others: Sequence
     # What the truth leaves of its own recording is the floor: noise, and the chaos of these contacts.
     level = score(own, spread(rivals.noise, plan, own[None]), plan)
     none = level.normal(residual(recs, plan, nominal))
-    return [worse(level, none, level.normal(residual(recs, plan, r))) for r in theirs]
+    return [rival_excess(level, none, level.normal(residual(recs, plan, r))) for r in theirs]
 
 
-def worse(level: Score, none: Compact, fitted: Compact) -> Array:
+def rival_excess(level: Score, none: Compact, fitted: Compact) -> Array:
     """Return `(G, E)` the loss beyond the floor that a rival leaves, at each point of the line on which it is refitted.
 
     Parameters

@@ -77,7 +77,7 @@ def _reason(found: Choice) -> str:
     )
 
 
-def more(scene: Scene, recs: Recordings, fewest: int) -> Proposal:
+def usual_proposal(scene: Scene, recs: Recordings, fewest: int) -> Proposal:
     """Return the scene's usual motions, of which more episodes are needed; nothing where nothing can be commanded.
 
     Parameters

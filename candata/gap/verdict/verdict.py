@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from candata.gap.fit.acceptance import LARGEST, searched
+from candata.gap.fit.acceptance import LARGEST, searched_count
 from candata.gap.fit.fits import Fit, Members
 from candata.gap.search.attribution import Attribution
 from candata.gap.validation.closure import REMAINING, trust
@@ -35,7 +35,7 @@ def verdict(found: Attribution, size: Gap, measured: Members = ()) -> Verdict:
     closed = size.closed or 0.0
     little = size.after - size.floor <= REMAINING
     # Many names fit what no name explains: of a friction that grows with load four took 0.70.
-    many = searched(found.chosen.members, measured) > LARGEST
+    many = searched_count(found.chosen.members, measured) > LARGEST
     loose = trust(size) < DOUBTED or many
     faint = little and closed < EXPLAINED and (loose or closed < LARGER_PART)
     elsewhere = size.closed_elsewhere or 0.0
@@ -51,7 +51,7 @@ def verdict(found: Attribution, size: Gap, measured: Members = ()) -> Verdict:
     return "explained" if closed >= EXPLAINED or (little and (unsure or not faint)) else "partly_explained"
 
 
-def unknown(
+def unnamed_cause(
     word: Verdict,
     found: Attribution,
     where: Sequence[Symptom],
