@@ -32,7 +32,7 @@ from candata.gap.replay.residuals import layout, residual
 from candata.gap.replay.starts import start_notes, starts
 from candata.gap.run.pace import Forecast, Pace
 from candata.gap.run.streams import Streams
-from candata.gap.screening.shortlist import with_telling
+from candata.gap.screening.episodes import with_telling
 from candata.scenes.traits import is_toss
 
 Progress = Callable[[str], None]

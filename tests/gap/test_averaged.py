@@ -17,7 +17,7 @@ from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.pace import Pace
 from candata.gap.run.streams import Streams
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.signature_screen import respond
 from candata.gap.search import attribution, replay_means
 from candata.gap.search.replay_means import Averaged, faint, placed

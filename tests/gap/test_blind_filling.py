@@ -19,7 +19,7 @@ from candata.gap.fit import signatures
 from candata.gap.fit.candidates import candidates
 from candata.gap.preparation import posed
 from candata.gap.replay.replayer import Replayer
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.signature_screen import respond
 from candata.schema.manifest import Lineage
 from candata.simulate.cluster import on_ray

@@ -15,8 +15,8 @@ from candata.gap.force.remedy import Doubt, LoneForce
 from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.refinement import joint
-from candata.gap.screening.shortlist import brief
 from candata.gap.search.attribution import attribute
 from tests.gap import hidden
 

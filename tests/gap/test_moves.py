@@ -13,7 +13,7 @@ from candata.gap.fit.fits import Fit, key_of
 from candata.gap.moves import MOVES
 from candata.gap.moves._view import View
 from candata.gap.moves.split import SHARES
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.episodes import brief
 from candata.scenes import load_scene
 from tests.gap.conftest import fitted, members, plant
 

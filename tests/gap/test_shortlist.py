@@ -17,18 +17,9 @@ from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
 from candata.gap.screening import look as staging
 from candata.gap.screening import shortlist
+from candata.gap.screening.episodes import FEW, brief, few, looked_into
 from candata.gap.screening.look import typical
-from candata.gap.screening.shortlist import (
-    FEW,
-    FITTED,
-    MOST,
-    _gains,
-    brief,
-    few,
-    looked_into,
-    reconsidered,
-    screened,
-)
+from candata.gap.screening.shortlist import FITTED, MOST, _gains, reconsidered, screened
 from candata.gap.screening.signature_screen import respond
 from candata.gap.search.attribution import attribute
 

@@ -16,6 +16,7 @@ from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer, name_of
 from candata.gap.run.streams import Streams
 from candata.gap.screening import shortlist
+from candata.gap.screening.episodes import brief, few
 from candata.gap.screening.look import look, unheld
 from candata.gap.screening.shortlist import SIMULATED, screened
 from candata.gap.screening.signature_screen import _places, respond, screening
@@ -189,12 +190,12 @@ def test_only_the_newest_of_what_was_simulated_is_kept(problem, monkeypatch):
 def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     stepped = []
     watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), played={})
-    part, _ = shortlist.brief(replace(watched, simulated=True))
+    part, _ = brief(replace(watched, simulated=True))
     worlds = [problem.setting([(c, u)]) for c in unheld(part, ()) for u in screening(c, part)]
     first = part.residuals(worlds)
     assert stepped
     stepped.clear()
-    again = shortlist.brief(watched)[0].residuals(worlds)
+    again = brief(watched)[0].residuals(worlds)
     assert not stepped
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     watched.residuals(worlds[:1])  # of all episodes: the others are missing
@@ -268,7 +269,7 @@ def test_what_closes_next_to_nothing_of_half_is_not_simulated_on_the_other_half(
     def episodes(name):
         return len({i for text, i in posed.played if f'"{name}"' in text})
 
-    few = len(shortlist.few(problem.recs.tasks))
+    few = len(few(problem.recs.tasks))
     assert episodes("joint_dry_friction") == len(problem.recs)
     assert episodes("time_step") >= few
     assert (episodes("clock_drift") == few // 2) == bool(silent)

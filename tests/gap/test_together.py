@@ -14,9 +14,9 @@ from candata.gap.fit.response import Curve, Plane
 from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer
 from candata.gap.run.streams import Streams
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.look import as_simulated, look
 from candata.gap.screening.refinement import joint
-from candata.gap.screening.shortlist import brief
 from candata.gap.screening.sums import beside, sums
 from candata.gap.validation.closure import shares
 

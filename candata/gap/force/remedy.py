@@ -19,7 +19,7 @@ from candata.gap.measure.score import Compact
 from candata.gap.replay.replayer import EffectSet, replay_all
 from candata.gap.replay.starts import starts
 from candata.gap.run.pace import FORCE
-from candata.gap.screening.shortlist import brief, taken
+from candata.gap.screening.episodes import brief, taken
 
 Index = NDArray[np.int64]
 #: Episodes that are looked at: enough to describe a force, and what effects that are named leave. Chosen: from twenty,

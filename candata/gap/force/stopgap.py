@@ -17,7 +17,7 @@ from candata.gap.force.dictionary import fitted
 from candata.gap.force.suspects import Suspect, tip_terms
 from candata.gap.replay.replayer import EffectSet, replay_all
 from candata.gap.replay.residuals import residual
-from candata.gap.screening.shortlist import taken
+from candata.gap.screening.episodes import taken
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.sums import sums
 
 #: Sets of each size, those that leave least first.

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 
 from candata.gap.fit.fits import Members
 from candata.gap.moves._view import View, free
-from candata.gap.screening.shortlist import brief, fitted
+from candata.gap.screening.episodes import brief
+from candata.gap.screening.shortlist import fitted
 
 #: Effects that are tried beside each member: those that explain most alone. Shares of what the member is, and of what
 #: the effect is alone, at which both begin. Chosen.

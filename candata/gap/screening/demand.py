@@ -7,7 +7,7 @@ from typing import Literal
 from candata.gap.fit.candidates import candidates, local_candidates
 from candata.gap.fit.problem import Problem
 from candata.gap.replay.replayer import EffectSet, needs_simulation
-from candata.gap.screening.shortlist import brief, first_look
+from candata.gap.screening.episodes import brief, first_look
 from candata.gap.screening.signature_screen import screening
 from candata.scenes.traits import is_toss
 

@@ -31,8 +31,9 @@ from candata.gap.measure.score import Compact
 from candata.gap.replay.replayer import EffectSet
 from candata.gap.replay.starts import Starts
 from candata.gap.screening.elements import LOCAL, promises
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.refinement import PROMISE, joint, polished, refined
-from candata.gap.screening.shortlist import Screened, brief, reconsidered, rivals, screened
+from candata.gap.screening.shortlist import Screened, reconsidered, rivals, screened
 from candata.gap.screening.signature_screen import respond
 from candata.scenes import Scene
 

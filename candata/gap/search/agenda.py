@@ -24,9 +24,9 @@ from candata.gap.fit.problem import Problem
 from candata.gap.fit.world_floor import in_units, rescored
 from candata.gap.moves import MOVES, Move
 from candata.gap.moves._view import View
+from candata.gap.screening.episodes import brief
 from candata.gap.screening.refinement import joint
 from candata.gap.screening.set_slopes import WIDTHS
-from candata.gap.screening.shortlist import brief
 from candata.gap.screening.sums import Responses
 
 Array = NDArray[np.float64]

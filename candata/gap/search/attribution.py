@@ -13,9 +13,10 @@ from candata.gap.fit.world_floor import Grown, judged
 from candata.gap.force.remedy import Doubt, LoneForce, Mended
 from candata.gap.measure.score import Score
 from candata.gap.run.pace import AGAIN, REST, SHARPEN
+from candata.gap.screening.episodes import looked_into
 from candata.gap.screening.look import as_simulated, look, look_again, narrowed, sharpened, unheld
 from candata.gap.screening.refinement import joint, polished
-from candata.gap.screening.shortlist import WORTH, gains_share, looked_into
+from candata.gap.screening.shortlist import WORTH, gains_share
 from candata.gap.search.agenda import aliases, begun, search
 from candata.gap.search.episode_counts import alone, recentred
 from candata.gap.search.outlook import further

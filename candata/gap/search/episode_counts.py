@@ -17,7 +17,7 @@ from candata.gap.fit.stage import Stage
 from candata.gap.fit.world_floor import in_world
 from candata.gap.measure.score import Compact, Score
 from candata.gap.run.pace import COUNT
-from candata.gap.screening.shortlist import few, taken
+from candata.gap.screening.episodes import few, taken
 
 Array = NDArray[np.float64]
 Member = tuple[Candidate, Array]

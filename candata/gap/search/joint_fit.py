@@ -24,7 +24,7 @@ from candata.gap.fit.folds import CrossFit, rest
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Plane
 from candata.gap.measure.score import Compact
-from candata.gap.screening.shortlist import few, taken
+from candata.gap.screening.episodes import few, taken
 from candata.gap.search.quantities import (
     SHARES,
     STEPS,

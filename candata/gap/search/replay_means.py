@@ -23,7 +23,7 @@ from candata.gap.replay.replayer import EffectSet, is_simulated, name_of, replay
 from candata.gap.replay.residuals import residual
 from candata.gap.replay.starts import starts
 from candata.gap.run.pace import MEAN, REST
-from candata.gap.screening.shortlist import brief
+from candata.gap.screening.episodes import brief
 from candata.rotation import exp, multiply
 from candata.schema.scene import Noise
 

@@ -14,8 +14,8 @@ from candata.gap.fit.fits import Fit
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.response import Curve, Plane
 from candata.gap.replay.replayer import needs_simulation
+from candata.gap.screening.episodes import taken
 from candata.gap.screening.refinement import ENOUGH
-from candata.gap.screening.shortlist import taken
 from candata.gap.validation.closure import ENDS, REFITS
 from candata.statistics import resamples
 

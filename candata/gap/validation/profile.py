@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from candata.gap.fit.comparison import standard_error
 from candata.gap.fit.fits import Fit
 from candata.gap.fit.problem import Problem
-from candata.gap.screening.shortlist import taken
+from candata.gap.screening.episodes import taken
 from candata.gap.validation.intervals import NORMAL, RISEN, every_other, intervals
 
 Array = NDArray[np.float64]

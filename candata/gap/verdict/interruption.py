@@ -17,8 +17,8 @@ from candata.gap.measure.symptoms import acts_on, locate, slides, symptoms
 from candata.gap.replay.budget import Budget
 from candata.gap.replay.replayer import needs_simulation
 from candata.gap.run.pace import REST
+from candata.gap.screening.episodes import first_look
 from candata.gap.screening.look import unheld
-from candata.gap.screening.shortlist import first_look
 from candata.gap.screening.signature_screen import respond, screening
 from candata.gap.search.outlook import first_cause
 from candata.gap.validation.closure import HeldOut, gap, held_out, measures
