@@ -16,7 +16,7 @@ from candata.gap.preparation import _problem
 from candata.gap.replay.replayer import Replayer, name_of
 from candata.gap.run.streams import Streams
 from candata.gap.screening import shortlist
-from candata.gap.screening.episodes import brief, few
+from candata.gap.screening.episodes import brief, few, looked_into
 from candata.gap.screening.look import look, unheld
 from candata.gap.screening.shortlist import SIMULATED, screened
 from candata.gap.screening.signature_screen import _places, respond, screening
@@ -128,7 +128,7 @@ def test_where_little_is_explained_effects_are_also_simulated_without_what_was_n
 
 def test_a_share_that_is_gained_counts_from_what_was_named(problem, planted):
     dry = candidate("joint_dry_friction", problem.replayer.scene)
-    deeper = shortlist.looked_into(problem, problem.nominal)
+    deeper = looked_into(problem, problem.nominal)
     assert shortlist.gains_share(deeper, problem.nominal, [dry], ())
     (truth,) = problem.residuals([planted("joint_dry_friction", frictionloss_Nm=0.3)])
     assert not shortlist.gains_share(deeper, problem.nominal, [dry], (), truth)
@@ -269,10 +269,10 @@ def test_what_closes_next_to_nothing_of_half_is_not_simulated_on_the_other_half(
     def episodes(name):
         return len({i for text, i in posed.played if f'"{name}"' in text})
 
-    few = len(few(problem.recs.tasks))
+    count = len(few(problem.recs.tasks))
     assert episodes("joint_dry_friction") == len(problem.recs)
-    assert episodes("time_step") >= few
-    assert (episodes("clock_drift") == few // 2) == bool(silent)
+    assert episodes("time_step") >= count
+    assert (episodes("clock_drift") == count // 2) == bool(silent)
     assert ("clock_drift" in {c.label for c, _ in seen.rough}) != bool(silent)
     assert seen.tried == len(found) - len(seen.dead)
     assert "clock_drift" in seen.faint or not silent
