@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from candata.effects import effect, effect_names
 from candata.gap.fit.folds import FEWEST
 from candata.reports import words
 from candata.reports.numbers import digits, percent
@@ -50,6 +51,10 @@ TERMS = {
 }
 
 
+#: Support below which a name is more often wrong than right, as support is calibrated (`docs/measured.md`).
+BELIEVED = 0.5
+
+
 def explain(verdict: Verdict) -> str:
     """Return one sentence that says what a verdict word means."""
     return _MEANINGS[verdict]
@@ -96,9 +101,22 @@ def against_note(report: Report) -> str:
     )
 
 
+def belief_note(report: Report) -> str:
+    """Return that names of a part of the gap are hardly believed; empty where one of them is, or none is named."""
+    supports = [named.support for named in report.effects]
+    if report.verdict != "partly_explained" or max(supports, default=1.0) >= BELIEVED:
+        return ""
+    most = percent(max(supports))
+    note = f"The support of the names is at most {most}: they stand in for the cause more likely than they are it."
+    known = [effect(named.name) for named in report.effects if named.name in effect_names()]
+    if any("solver" in entry.traits for entry in known):
+        note += " A contact law or solver that the simulator does not have shows like this."
+    return note
+
+
 def _explanation(report: Report) -> str:
     """Return the sentence of a verdict that names effects."""
-    titles = [words.effect_title(effect.name, effect.element) for effect in report.effects]
+    titles = [words.effect_title(named.name, named.element) for named in report.effects]
     subject = words.sentence_case(words.enumeration(titles))
     verb, pronoun = ("explain", "them") if len(titles) > 1 else ("explains", "it")
     gap, is_partial = report.gap, report.verdict == "partly_explained"

@@ -102,7 +102,12 @@ def page(
         headline=headline,
         report=report,
         outcome=outcome.outcome(report),
-        notes=" ".join(filter(None, (outcome.FLOOR if report.gap else "", outcome.against_note(report)))),
+        notes=" ".join(
+            filter(
+                None,
+                (outcome.belief_note(report), outcome.FLOOR if report.gap else "", outcome.against_note(report)),
+            )
+        ),
         answers=_answers(report, context),
         changes=advice.changes(report, context),
         mjcf_lines=context.mjcf_lines,

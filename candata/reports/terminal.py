@@ -7,7 +7,7 @@ import textwrap
 from candata.reports import advice, words
 from candata.reports.advice import ReportContext
 from candata.reports.numbers import format_estimate, percent, unit_of
-from candata.reports.outcome import against_note, outcome
+from candata.reports.outcome import against_note, belief_note, outcome
 from candata.schema.report import NamedEffect, Report
 
 #: Columns of the text: those of a terminal as it opens.
@@ -29,7 +29,8 @@ def summary(report: Report, context: ReportContext | None = None) -> str:
     """
     context = context or ReportContext()
     floor = f"({FLOOR}.)" if report.gap is not None else ""
-    first_sentences = " ".join(filter(None, (f"{report.verdict}: {outcome(report)}", floor, against_note(report))))
+    notes = (f"{report.verdict}: {outcome(report)}", belief_note(report), floor, against_note(report))
+    first_sentences = " ".join(filter(None, notes))
     lines = [*textwrap.wrap(words.keep_units(first_sentences), WIDTH, break_on_hyphens=False), ""]
     lines += _entry("where", words.where_sentence(report))
     lines += _list_entry("which", [_effect(e) for e in report.effects] or [words.cause_sentence(report)])

@@ -11,10 +11,30 @@ from candata import reports
 from candata.reports import words
 from candata.reports.advice import NO_RESPONSE
 from candata.reports.numbers import digits, format_estimate, percent, unit_of
-from candata.reports.outcome import outcome
+from candata.reports.outcome import belief_note, outcome
 from candata.schema.report import Estimate, Symptom, Verdict
 
 VERDICTS = get_args(Verdict)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "said"),
+    [
+        ("partly_explained", {"joint_damping": 0.08, "impratio": 0.09}, ("at most 9 %", "contact law or solver")),
+        ("partly_explained", {"joint_damping": 0.08}, ("at most 8 %",)),
+        ("partly_explained", {"joint_damping": 0.6, "impratio": 0.09}, ()),
+        ("explained", {"joint_damping": 0.08}, ()),
+    ],
+)
+def test_names_that_are_hardly_believed_are_said_to_stand_in(make_report, verdict, named, said):
+    """Another engine with nothing changed was partly explained by three names with supports of 0.07 to 0.09."""
+    effects = [{"name": name, "share": 0.5, "support": support, "parameters": {}} for name, support in named.items()]
+    report = make_report(verdict, effects=effects)
+    note = belief_note(report)
+    assert bool(note) == bool(said)
+    assert all(words in note for words in said)
+    assert ("solver" in note) == (len(said) == 2)
+    assert note in " ".join(reports.summary(report).split())
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
