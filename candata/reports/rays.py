@@ -34,7 +34,7 @@ def draw(
     data, frames = mujoco.MjData(model), []
     alone = None if ghost is None else ghost_model(model, ghost)
     ghost_data = None if alone is None else mujoco.MjData(alone)
-    geoms = None if alone is None else ghost_geoms(alone)
+    geoms = np.zeros(0, np.intp) if alone is None else ghost_geoms(alone)
     for row, pose in enumerate(qpos):
         states = [(model, _forward(model, data, pose))]
         if ghost is not None and np.isfinite(ghost.qpos[row]).all():
