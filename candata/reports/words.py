@@ -353,7 +353,9 @@ def enumeration(parts: Sequence[str], conjunction: str = "and") -> str:
 
 
 def _interval(low: float, high: float) -> str:
-    """Return `95 to 99 %`."""
+    """Return `95 to 99 %`, or `100 % at both ends`."""
+    if percent(low) == percent(high):
+        return f"{percent(low)} at both ends"
     return f"{percent(low).removesuffix(' %')} to {percent(high)}"
 
 

@@ -109,6 +109,12 @@ def test_a_summary_has_the_columns_of_a_terminal(make_report, verdict):
     assert max(len(line) for line in lines if not line.startswith("  candata ")) <= 80
 
 
+def test_an_interval_that_rounds_to_one_number_is_no_range(make_report):
+    gap = {"before": 1.85, "after": 0.98, "closed": 1.0, "low": 1.0, "high": 1.0}
+    text = " ".join(reports.summary(make_report(gap=gap)).split())
+    assert "90 % interval 100 % at both ends" in text
+
+
 def test_summary_names_parameter_interval_and_unit(make_report):
     text = " ".join(reports.summary(make_report()).split())
     assert "joint_dry_friction on index2: frictionloss_Nm 0.0412 N m (90 % interval 0.0373 to 0.0458)" in text
