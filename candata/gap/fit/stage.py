@@ -53,7 +53,8 @@ class Stage:
     reachable : float
         Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
     rough : sequence of (Candidate, Curve or Plane)
-        Every lively candidate on a few episodes; empty where all were looked at on all of them.
+        Every lively candidate on a few episodes; where one alone leaves no gap, those that gain much on half of these.
+        Empty where all were looked at on all of them.
     """
 
     base: Array

@@ -33,7 +33,7 @@ from candata.gap.replay.starts import Starts
 from candata.gap.screening.elements import LOCAL, promises
 from candata.gap.screening.episodes import brief
 from candata.gap.screening.refinement import PROMISE, joint, polished, refined
-from candata.gap.screening.shortlist import Screened, reconsidered, rivals, screened
+from candata.gap.screening.shortlist import Screened, on_all_few, reconsidered, rivals, screened
 from candata.gap.screening.signature_screen import respond
 from candata.scenes import Scene
 
@@ -51,7 +51,13 @@ def look(problem: Problem, before: Stage | None = None) -> Stage:
     `before` is an earlier look, whose typical loss holds still.
     """
     base, luck = (before.base, before.luck) if before else typical(problem)
-    return _judged(problem, screened(problem, unheld(problem, ()), base), base, luck)
+    seen = screened(problem, unheld(problem, ()), base)
+    stage = _judged(problem, seen, base, luck)
+    left = stage.fits[0].evidence.loss if stage.fits else base
+    # Beside another effect one may show that gains nothing alone.
+    if seen.on_half_alone and left.mean() > null_level(problem.score):
+        stage = replace(stage, rough=on_all_few(problem, seen))
+    return stage
 
 
 def as_simulated(problem: Problem, stage: Stage) -> Sequence[tuple[Candidate, Curve | Plane]]:

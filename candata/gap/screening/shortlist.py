@@ -59,6 +59,8 @@ class Screened:
         How many were looked at in all.
     rough : list of (Candidate, Curve or Plane)
         All of them on a few episodes; empty where none were looked at so.
+    on_half_alone : tuple of Candidate
+        Those that are missing there, as they gained too little on half of these episodes.
     """
 
     responses: Responses
@@ -66,6 +68,7 @@ class Screened:
     faint: tuple[str, ...]
     tried: int
     rough: Responses = field(default_factory=list)
+    on_half_alone: tuple[Candidate, ...] = ()
 
 
 def screened(problem: Problem, found: Sequence[Candidate], base: Array) -> Screened:
@@ -81,6 +84,7 @@ def screened(problem: Problem, found: Sequence[Candidate], base: Array) -> Scree
         Typical loss without any, in floors.
     """
     part, index = brief(problem)
+    on_half_alone: tuple[Candidate, ...] = ()
     if part is problem:
         responses, dead = _all(problem, found, base)
         return Screened(responses, dead, (), len(responses))
@@ -93,13 +97,21 @@ def screened(problem: Problem, found: Sequence[Candidate], base: Array) -> Scree
         rough, dead = _all(first, found, base[looked_at])
         tried = len(rough)
         if first is not part:
-            rough, _ = respond(part, part.nominal, _better_half(first, rough, base[looked_at]))
+            better = _better_half(first, rough, base[looked_at])
+            on_half_alone = tuple(c for c, _ in rough if not any(c is other for other in better))
+            rough, _ = respond(part, part.nominal, better)
     has_gap = bool(problem.score.loss(problem.nominal).mean() > null_level(problem.score))
     kept = _best(part, rough, base[index], PLAYED if problem.simulated else ALONE, has_gap)
     responses, _ = respond(problem, problem.nominal, kept)
     known = {*(c.label for c in kept), *dead}
     faint = tuple(c.label for c in found if c.element is None and c.label not in known)
-    return Screened(responses, dead, faint, tried, rough)
+    return Screened(responses, dead, faint, tried, rough, on_half_alone)
+
+
+def on_all_few(problem: Problem, seen: Screened) -> Responses:
+    """Return the responses of all candidates of a screen on the few episodes, also of those seen on half of them."""
+    part, _ = brief(problem)
+    return respond(part, part.nominal, [*(c for c, _ in seen.rough), *seen.on_half_alone])[0]
 
 
 def reconsidered(problem: Problem, seen: Screened, base: Array) -> Screened:
