@@ -18,8 +18,8 @@ Depth = Literal["first", "most", "all"]
 def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
     """Return the signatures to keep, each with the problem whose library keeps it; none for tosses.
 
-    First comes what every diagnosis looks at first, all effects on a few episodes or half of them; then their variants on
-    one element there, and the effects on every episode; then these variants on every episode.
+    First comes what every diagnosis looks at first, all effects on a few episodes or half of them; then their variants
+    on one element there, and the effects on every episode; then these variants on every episode.
     """
     scene = problem.replayer.scene
     if is_toss(scene):
