@@ -37,8 +37,7 @@ from candata.scenes.traits import is_toss
 
 Progress = Callable[[str], None]
 #: Episodes, and tosses, on which effects are searched; what a larger dataset holds beyond is left untouched until the
-#: end. A toss is short, and chance decides how it lands. (In one of five splits of real ones 64 could not tell the
-#: cube's inertia from luck, 0.14 +- 0.21 floors beside the others; 128 could.)
+#: end. A toss is short, and chance decides how it lands. Record 43.
 SEARCHED, TOSSES = 64, 128
 #: Fewest episodes left untouched; where fewer would be, all are searched. Chosen: an interval over few tells little.
 UNTOUCHED = 16

@@ -12,8 +12,7 @@ from candata.scenes import Scene
 #: How far the hand backs off, or half of how far the object is put away, to keep the sweep free [m].
 AWAY_M = 0.14
 #: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the
-#: range; how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos
-#: leaves nothing on a sweep alone, and with the jumps 0.3 to 1.2 floors of that motion, on four hands.)
+#: range; how long the sweep takes to end [s]. Record 43.
 SWEEP_SHARE, STROKE, END_S = 0.7, 0.8, 0.25
 #: When joints jump out, at random within the first share of what is left, and how much later each comes back. Chosen.
 JUMP_WITHIN_SHARE, RETURN_AFTER_SHARE = 0.3, 0.45

@@ -31,8 +31,7 @@ from candata.schema.bench import FilledSignature
 
 #: What a run has filled its cache with.
 FILLED = "filled.jsonl"
-#: Cases from which on more than the first look pays. (Of what `most` adds, eight drawn cases of the built-in hand had
-#: asked for two thirds, 12 for four fifths, 38 for all; of what `all` adds 38 had asked for two fifths.)
+#: Cases from which on more than the first look pays. Record 43.
 MANY = 12
 #: Cases that are looked at to find recordings whose signatures the others share.
 PEEK = 6

@@ -31,13 +31,11 @@ NoiseKind = Literal["measured", "declared", "assumed"]
 #: and tactile sensors [N]; and that of encoders on rails [m].
 SMALLEST = Noise(object_pose=(2e-4, 1e-3), joint_position=3e-4, fingertip_force=0.01)
 SMALLEST_SLIDE_M = 5e-5
-#: Times the declared noise that must be seen for it not to be believed. (In 232 blind cases of two hands, whose noise
-#: is as declared, 1.14 at most was seen.)
+#: Times the declared noise that must be seen for it not to be believed. Record 43.
 MORE = 1.3
 #: Pairs of repeated episodes from which noise is measured. Chosen: one could be an accident.
 PAIRS = 2
-#: How near declared noise what is measured must come to confirm it. (In 40 recordings of 20 episodes whose noise is as
-#: declared, three motions of them repeated, it was measured as 0.85 to 1.13 of that.)
+#: How near declared noise what is measured must come to confirm it. Record 43.
 AS_DECLARED = 0.15
 #: Significant digits of noise that is estimated: it is known no better, and two would be off by up to a twentieth.
 DIGITS = 3

@@ -29,8 +29,7 @@ BEYOND = 0.1
 #: probe at half or double is near enough; only limits and some contact parameters are probed no nearer than that.
 FAR = 2.1
 #: Numbers of a vector up to which a first look reads both signs of each: across both, signatures say more of a place
-#: beyond them. (Of a mass centre 16 mm off, worth 1.6 floors, one sign promised nothing and both 0.1; simulated beside
-#: the other cause, one promised nothing and both 1.9 of 2.4.)
+#: beyond them. Record 43.
 FEW_NUMBERS = 3
 
 

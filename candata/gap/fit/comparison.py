@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 NEAR, RIVALS = 0.85, 2
 #: Standard errors of the paired difference within which it is sharpened as well, however much less it gains.
 UNSURE = 2.0
-#: The same of a rival that leaves as little as a true cause may: with more the best one has nine chances in ten. (A
-#: contact's damping, a quarter of a clear one, gained 0.12 floors and its compliance 0.09, and the two were tied.)
+#: The same of a rival that leaves as little as a true cause may: with more the best one has nine chances in ten.
+#: Record 43.
 BELOW = 1.28
 #: Share of the best gain up to which a difference between two fits is no evidence: of aliases the one that was fitted a
 #: little sharper wins, in every episode alike. Chosen: of five blind cases between damping of servos and of joints,
@@ -51,10 +51,7 @@ def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
 
 
 def is_elsewhere(c: Candidate, best: Candidate, scene: Scene) -> bool:
-    """Tell whether a candidate is another effect, or the same on other elements: of two joints either may be at fault.
-
-    (One joint's offset, read off blunt, gained 4.1 of 4.5 floors, and 4.4 as the next joint's.)
-    """
+    """Tell whether a candidate is another effect, or the same one on other elements."""
     if c.name != best.name:
         return True
     one_each = c.element is not None and best.element is not None

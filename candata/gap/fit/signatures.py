@@ -122,7 +122,7 @@ class Library:
         """Return by how much the residuals of the recordings fall with each effect set.
 
         Not of a sensor at fault that read the start: a replay from a start that is a little less wrong goes on in as
-        wrong a contact. (Of a tracker turned about three axes, no turn about one of them took anything off.)
+        wrong a contact.
         """
         names = [self._name(some) for some in settings]
         for name, some in zip(names, settings, strict=True):

@@ -110,10 +110,8 @@ def otherwise(suspect: Suspect, parts: Sequence[Index]) -> list[Suspect]:
 def pulls(scene: Scene, suspect: Suspect) -> list[Suspect]:
     """Return pulls of the support, as large as the object's weight where it rests, over each height they fade in.
 
-    No residual force tells of these: the support takes what pulls the object onto it. (Of a magnet as strong as the
-    weight of what stood on it, which three fingers dragged but did not lift, all that showed was friction: played, that
-    closed 0.05 of the gap, and the pull 0.83.) They are made from the `suspect`, a force on the object; none where that
-    is another, or nothing carries the object.
+    No residual force tells of these: the support takes what pulls the object onto it. They are made from the `suspect`,
+    a force on the object; none where that is another, or nothing carries the object.
     """
     if suspect.place != "object" or suspect.axes.start > 0 or scene.file.support is None:
         return []

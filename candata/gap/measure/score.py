@@ -128,8 +128,7 @@ def score(residual: Array, floor: Floor, plan: Layout, loss_error: float = 0.0, 
 
     Only what both the recording and the nulls hold is compared. One is what a recording of the nominal scene is
     expected to be: nulls lie nearer their own spread and mean than another replay does, the nearer the fewer they are.
-    (Of sets of four nulls each, fresh ones lost 1.06 where contact is chaos, and half of them more than all but one in
-    a hundred of the four.) So each part of them is measured by the others.
+    So each part of them is measured by the others.
     """
     count = len(residual)
     sigma = floor.sigma.reshape(count, -1)

@@ -178,8 +178,7 @@ def _strangers(look: SampleReplay, pairs: Paired, own: Array) -> list[RecordingM
     """Return that the joints of some episodes do not belong to their commands, while those of others do.
 
     Sure where many are such, `FEWEST_BROKEN` at least, unless they move otherwise in all episodes of some tasks that
-    are looked at and in none of another: joints may be too weak for that motion. (With 0.12 N m, a heavier rotor and
-    less damping those of fast sweeps were refused.) What is a constant off is no weakness.
+    are looked at and in none of another: joints may be too weak for that motion. What is a constant off is no weakness.
     """
     apart, every = pairs.joint - own, np.ones(len(pairs.names), bool)
     off, swing = distances(apart, every), distances(apart - np.nanmedian(apart, axis=1, keepdims=True), every)

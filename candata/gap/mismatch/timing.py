@@ -33,8 +33,7 @@ MOSTLY_LATE = 0.2
 #: Longest delay that effects explain [s] (the bound of `actuation_delay`).
 LATEST_S = 0.15
 #: What makes joints react earlier than modelled: lighter damping, a stiffer servo, another clock; near enough to one
-#: another that the nearest is a better account of what lies between than a shift. (Of a clock slow by 0.57 %, -1.5 %
-#: was a worse one than two steps.)
+#: another that the nearest is a better account of what lies between than a shift. Record 43.
 RIVALS = (
     *(("servo_damping", "kv_scale", v) for v in (0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85)),
     *(("servo_gain", "kp_scale", v) for v in (1.15, 1.3, 1.5, 1.7, 2.0, 2.5, 3.2, 4.0)),

@@ -21,9 +21,7 @@ Array = NDArray[np.float64]
 #: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
 #: Most variants that are simulated because they act on the joint, a link that its drive feels, or the fingertip whose
-#: readings stand out: most drive and joint effects of a joint. (Of 24 drawn faults of one element, those on an element
-#: that stood out stood among the first seven by their promise; one motor's limit, worth 0.6 floors, promised less than
-#: eight others.)
+#: readings stand out: most drive and joint effects of a joint. Record 43.
 ALSO = 9
 #: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
 #: what is simulated, never what is named.

@@ -38,8 +38,8 @@ from candata.gap.screening.signature_screen import respond
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]
-#: Times what nulls gain within which it is sharpened too: of a faint effect, a fit gains as much by being sharp. (One
-#: motor's damping, worth 0.05 floors, gained 0.023 beside 0.048 of its joint's, and 0.052 beside 0.049 when sharp.)
+#: Times what nulls gain within which it is sharpened too: of a faint effect, a fit gains as much by being sharp.
+#: Record 43.
 LUCKY = 2.0
 #: Nominal replays from other starts, which show how much of a loss is luck.
 STARTS = 3
@@ -63,8 +63,7 @@ def look(problem: Problem, before: Stage | None = None) -> Stage:
 def as_simulated(problem: Problem, stage: Stage) -> Sequence[tuple[Candidate, Curve | Plane]]:
     """Return every lively candidate on a few episodes, scalars as far as they were simulated on the recording.
 
-    Between two probes of a signature a curve is a chord, and its error adds up. (Where damping of contacts and joints
-    left 1.3 floors together, what was read off added up to 3.4; contacts and servos, 1.7 and 2.3, were taken for it.)
+    Between two probes of a signature a curve is a chord, and its error adds up.
     """
     _, index = brief(problem)
     curves = {f.labels[0]: f.response for f in stage.fits if isinstance(f.response, Curve)}
@@ -176,8 +175,7 @@ def sharpened(problem: Problem, stage: Stage) -> Stage:
 def _wider(problem: Problem, stage: Stage, best: Fit) -> list[Fit]:
     """Return the same effect with more numbers, on elements among them the best's, if sharp it surely explains more.
 
-    Tried where the best leaves what matters, and of the fewest numbers. (The offsets of a finger's two joints, which
-    nearly make up for one another, gained less than that of one until they were sharp; then they left none of 0.06.)
+    Tried where the best leaves what matters, and of the fewest numbers.
     """
     (c, _), scene = best.members[0], problem.replayer.scene
     own, near = set(elements_of(c, scene)), [f for f in stage.fits if is_near(f, best)]
@@ -192,8 +190,7 @@ def _wider(problem: Problem, stage: Stage, best: Fit) -> list[Fit]:
 def _may_come_near(problem: Problem, stage: Stage, fit: Fit, best: Fit) -> bool:
     """Tell whether a scalar that gains `PROMISE` of the most may come near where nothing was simulated yet.
 
-    Only where the best leaves a gap. (A support 9 mm higher was simulated at 8 and at 14 mm, where the object lies out
-    of reach: at 8.2 it gained 0.8 of what a tracker 9 mm off did, which left 0.2 floors. At 9 it leaves none.)
+    Only where the best leaves a gap.
     """
     if not isinstance(fit.response, Curve) or fit.members[0][0].choices or fit.gain < PROMISE * best.gain:
         return False
@@ -204,11 +201,7 @@ def _may_come_near(problem: Problem, stage: Stage, fit: Fit, best: Fit) -> bool:
 
 
 def _as_vectors_are(problem: Problem, fit: Fit, base: Array) -> Fit:
-    """Return a scalar fitted as vectors are, by slopes, where that gains more: only alike do rivals compare.
-
-    (A tracker's scale, read off a curve through its replays, gained 1.11 where a bias of three numbers gained 1.16, and
-    was taken for it; by slopes the two gain 1.18 and 1.19.)
-    """
+    """Return a scalar fitted as vectors are, by slopes, where that gains more: only alike do rivals compare."""
     c = fit.members[0][0]
     found = fit if c.size > 1 or c.choices else joint(problem, fit.members, base)
     return found if found.gain > fit.gain else fit
@@ -253,10 +246,8 @@ def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     """Return the fit of the same effect that says least: of those tied with the best, one of the fewest numbers.
 
     Of these it is the one on all elements, where that on one can hardly be told from that on another, or leaves more
-    than fits are sharp: which one it is is not known. (Two fingertips held a box, and either alone twisted as much as
-    both. Of a thumb against two fingers, the thumb's torsional friction gained 0.369 floors, that of all, which was
-    true, 0.358, half a standard error less.) Else it is the one that acts on the fewest elements where gains are the
-    same as far as fits are sharp: the others do nothing here.
+    than fits are sharp: which one it is is not known. Else it is the one that acts on the fewest elements where gains
+    are the same as far as fits are sharp: the others do nothing here.
     """
     alike = [f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best, UNSURE)]
     same = [best, *(f for f in alike if is_tied(f, best))]

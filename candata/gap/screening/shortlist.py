@@ -33,8 +33,7 @@ LEAST, MOST, SIMULATED = 3, 8, 4
 #: Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction that is worth all of it closed a tenth.
 TRIED, WORTH = 0.05, 0.1
 #: Share of what half of these episodes leave that a candidate must close there to be simulated on the others. Chosen:
-#: half of `TRIED`. (Of 33 effects beside a first cause, the true second one closed 0.32 to 0.94 of three episodes; of
-#: seven causes in no library one to six effects closed 0.02.)
+#: half of `TRIED`. Record 43.
 SILENT = 0.025
 #: Share of the best gain on half of a few episodes below which a candidate is looked at no further. Chosen: a quarter
 #: of `ALONE`.

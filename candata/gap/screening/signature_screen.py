@@ -85,8 +85,7 @@ def _places(c: Candidate, problem: Problem, held: Members) -> list[Array]:
     Where all are simulated on the recording, what was simulated of a few episodes serves for all of them. A scalar is
     then looked at twice on each side beside other effects. Where it is because none explains it alone, it is looked at
     nearer and between, too: what a faint effect does, as a support that is 2 mm too high, need not be a share of what a
-    strong one does. (Of friction times 0.7 an object was held, of 0.45 it fell at once, and of 0.55, which was true, it
-    slipped in some lifts.) So are few numbers: of a tracker 3 mm off, what 8 mm do said nothing.
+    strong one does. So are few numbers.
     """
     if not problem.simulated:
         return screening(c, problem)
@@ -120,8 +119,7 @@ def _begun(
 ) -> Curve | Plane:
     """Return a vector's plane around the probe that leaves least, if less than none; all were simulated there.
 
-    Slopes of contact that comes and goes lead nowhere from the neutral values. (A tracker 2 mm off took 0.9 of 2.1
-    floors, and slopes towards there and to five other probes nothing.)
+    Slopes of contact that comes and goes lead nowhere from the neutral values.
     """
     if isinstance(response, Curve):
         return response
@@ -133,9 +131,8 @@ def _begun(
 def _sides(problem: Problem, c: Candidate, here: Compact, points: Sequence[Array], moves: Sequence[Compact]) -> Array:
     """Return `(d,)` towards which probe of each number a vector leaves least, 0 where it was not probed.
 
-    Contact is one-sided: a jar whose mass centre lies to one side leans into the hand, to the other it topples. (A mass
-    centre 24 mm off, all of a gap of 1.7 floors, promised 0.2 across both sides, and 0.5 towards its own.) Towards the
-    farthest probe of that side, but where probes were simulated nearer because those told nothing.
+    Contact is one-sided: a jar whose mass centre lies to one side leans into the hand, to the other it topples. Towards
+    the farthest probe of that side, but where probes were simulated nearer because those told nothing.
     """
     sides, least = np.zeros(c.size), np.full(c.size, np.inf)
     for u, move in zip(points, moves, strict=True):

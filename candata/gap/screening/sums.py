@@ -128,13 +128,14 @@ def _added(problem: Problem, responses: Responses, here: Compact) -> Sum:
 
 
 def _begin(problem: Problem, response: Curve | Plane) -> Array:
-    """Return where a fit begins: at the neutral value, and of a choice at the best one alone."""
+    """Return where a fit begins: a curve's point that leaves least alone, never neutral of a choice.
+
+    Where contact comes and goes, slopes at the neutral value lead nowhere.
+    """
     if isinstance(response, Plane):
         return response.at
-    if not response.who.choices:
-        return response.who.neutral
-    others = [u for u in response.at[:, None] if not response.who.is_neutral(u)]
-    return min(others, key=lambda u: float(problem.score.loss(response.read(u)).mean()))
+    points = [u for u in response.at[:, None] if not (response.who.choices and response.who.is_neutral(u))]
+    return min(points, key=lambda u: float(problem.score.loss(response.read(u)).mean()))
 
 
 def _read(problem: Problem, responses: Responses, at: Sequence[Array], here: Compact) -> tuple[Compact, float]:

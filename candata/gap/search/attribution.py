@@ -170,10 +170,7 @@ def _headed(first: Stage, best: Fit) -> Stage:
 
 
 def _is_anyones(first: Stage, chosen: Fit) -> bool:
-    """Tell whether an effect on other elements explains about as much, so that one replay may not tell which it is.
-
-    (Of one fingertip, torsional friction gained 0.34 floors, that of all 0.30, and of either other 0.2.)
-    """
+    """Tell whether an effect on other elements explains about as much, so that one replay may not tell which it is."""
     (name,) = {c.name for c, _ in chosen.members}
     # All of them in units of the nominal world's floor, as `chosen` is not.
     same = sorted((f for f in first.fits if f.members[0][0].name == name), key=lambda f: -f.gain)
@@ -201,9 +198,7 @@ def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members
 def _counting(problem: Problem, first: Stage, remains: bool) -> tuple[Stage, Fit | None]:
     """Return the first look with its best at its sharpest, where that decides, and what of it counts; None of nothing.
 
-    Within the nulls' range a blunt fit shows half of a faint effect, and the luck of all. (A support's rolling
-    friction, worth 0.07 floors, gained 0.038, 2.2 standard errors; sharp 0.084, which is 4.0. Of 100 nulls four
-    passed, and none of these was plain when sharp.)
+    Within the nulls' range a blunt fit shows half of a faint effect, and the luck of all.
     """
     best, tasks = first.passing(), problem.recs.tasks
     if best is None or remains or first.is_plain(best, tasks):

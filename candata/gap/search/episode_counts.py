@@ -33,9 +33,8 @@ ASKED, ASKED_OF_EACH = 4, 2
 #: Share of the nominal scene's mean log loss that may be left at most: a world that foretells little because much of it
 #: is chaos could do. Chosen: of two recordings of that friction the truth left 0.41 and 0.48.
 KEPT = 0.6
-#: Null replays of each episode in the worlds that are compared: what chaos deals is known by many draws alone. (Of
-#: three recordings of that friction, each judged six times with other draws, 4 nulls refused the truth once and 8
-#: twice; with 16 the loss in its own world lay 0.1 to 0.2 floors below what nulls reach, give or take 0.08.)
+#: Null replays of each episode in the worlds that are compared: what chaos deals is known by many draws alone.
+#: Record 43.
 NULLS = 16
 #: Floors that null sets of a world reach from which it is called chaotic. Chosen: 1.3 to 1.6 where an object slips,
 #: 1.04 to 1.08 in the worlds of six sets of causes of another hand.
@@ -54,13 +53,11 @@ def _counted(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, P
     """Return a scalar cause at the value that explains most episodes, and the problem in units of its world's floor.
 
     None where that leaves a gap, or where the world of what was `chosen`, or of the best effect alone, foretells the
-    recording as surely. What was chosen needs no more than a better value: which effect it is was decided before. (Of
-    friction times 0.6 a wrong effect was the best alone, and where its world was chaotic it left no gap.)
+    recording as surely. What was chosen needs no more than a better value: which effect it is was decided before.
 
     Where an object slips, some episodes are dealt another outcome even by the true world, and the loss of those hides
     how well it does in the others. The mean logarithm counts each episode by the share of its loss that is explained,
-    as a likelihood does whose scale is each episode's own. (Of friction times 0.55, nominal 3.8 floors, 0.65 left 2.9
-    floors in the mean and 2.4 in the geometric one, the truth 3.0 and 1.7.)
+    as a likelihood does whose scale is each episode's own.
     """
     scalars = _scalars(stage, TRIED)
     if not scalars:
@@ -90,8 +87,7 @@ def _likeliest(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit,
 
     None where each leaves a gap there, or what was `chosen`, or the best effect alone, foretells the recording as
     surely. In the nominal world's floor, which knows nothing of the chaos that a cause makes, the truth may explain
-    hardly any episode. (Of contact damping 0.31 times as strong it left 3.0 floors of 3.5, and 0.37 times 2.9; in its
-    own world it leaves none, where nulls reach 1.09, and 0.35 leaves 1.26, where they reach 1.19.)
+    hardly any episode.
     """
     part = taken(problem, few(problem.recs.tasks))
     asked: list[tuple[bool, float, Member]] = []
@@ -146,8 +142,7 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
     """Return the scalar of a set that leaves no gap alone, and the problem in units of its world's floor; else None.
 
     Asked in a chaotic world only, by the `score` of the set: there what came beside a cause may make up for a value at
-    which it was held when that came. None where the set's world foretells the recording more surely. (Beside a friction
-    of 0.6, which should have been 0.5, a shorter time step was taken; with it, friction moved to 0.50.)
+    which it was held when that came. None where the set's world foretells the recording more surely.
     """
     if len(found.members) < 2 or problem.measured or null_level(score) < CHAOTIC:
         return None
@@ -167,8 +162,7 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
 def _leaves(world: Problem, point: Member) -> bool:
     """Tell whether a value leaves a gap in the floor of its own world.
 
-    Not of values that other episodes choose: where contact is chaos, a floor is that of one value alone. (At a friction
-    of 0.532 a recording of 0.55 left 1.2 floors, where nulls reach 1.5; with a quarter of it at 0.549, 1.5 and 1.3.)
+    Not of values that other episodes choose: where contact is chaos, a floor is that of one value alone.
     """
     (z,) = world.residuals([world.setting((point,))])
     return bool(world.score.loss(z).mean() > null_level(world.score))
@@ -204,8 +198,7 @@ def _typical(problem: Problem, z: Compact) -> float:
 def _with_all(problem: Problem, found: Sequence[Member]) -> list[Member]:
     """Return scalars, and the same effects on all elements where those on some were found, each once.
 
-    By the mean loss one element may gain where all of them gain nothing. (Of a friction of everything times 0.55, that
-    of the fingertips gained 0.6 floors alone, and left 2.4 in its own world, where nulls reach 1.5.)
+    By the mean loss one element may gain where all of them gain nothing.
     """
     wide = [widespread(c, u, problem.replayer.scene) for c, u in found if c.element is not None]
     return list({c.label: (c, u) for c, u in (*wide, *found) if c.size == 1}.values())

@@ -86,9 +86,7 @@ def described(found: Mended, world: EffectSet, where: Sequence[Symptom], nearest
 def unseating(force: Force, size: Gap, where: Sequence[Symptom], nearest: str) -> Described | None:
     """Return a described force that closes clearly more by itself than what is named: then that is not the cause.
 
-    Asked only where what is named leaves much, in floors and of the gap; None where it stands. (A wind was named as a
-    table that leans and two more, 81 % closed; the force closes 98 %. Where the table did lean, with 81 % closed too,
-    a force closes 63 %.)
+    Asked only where what is named leaves much, in floors and of the gap; None where it stands.
 
     Parameters
     ----------
@@ -113,10 +111,9 @@ def outdoing(
     """Return a described force that explains no less than what is named; None where none does.
 
     Asked where what is named leaves more than right names do: an alias is nearly, but not quite, what it stands for, as
-    is the sum of several. (A wind was named as a leaning table, with or without a mass centre, that closes 0.76
-    to 0.91 of the gap; fading motors as a sensor's gain and a mass that close 0.7, as a force does.) What is named is
-    judged where it was fitted, the force on episodes that took no part in its fit, and within a standard error of their
-    difference. Parameters are those of `unseating`, the problem in the same units, and the effects that are `named`.
+    is the sum of several. What is named is judged where it was fitted, the force on episodes that took no part in its
+    fit, and within a standard error of their difference. Parameters are those of `unseating`, the problem in the same
+    units, and the effects that are `named`.
     """
     left = size.after - size.floor
     if left < SOMETHING or 1 - (size.closed or 0.0) < SELDOM:

@@ -12,9 +12,7 @@ from candata.schema.report import Gap, Symptom, UnknownCause, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
 EXPLAINED, PARTLY = 0.8, 0.3
-#: Trust below which a set passes no more for the little that it leaves: it is wrong more often than right. (A magnet
-#: that was half explained by the object's mass left 0.29 floors of 0.77; of true causes, none that left 0.30 floors or
-#: less and a fifth of the gap left more than 0.10.)
+#: Trust below which a set passes no more for the little that it leaves: it is wrong more often than right. Record 43.
 DOUBTED = 0.5
 #: Share of a gap below which one name alone explains nothing, nor several a small gap, however little remains: the
 #: remainder is the larger part. Chosen: of 131 right names alone the least closed 0.72; a fingertip that repeats old
