@@ -23,7 +23,6 @@ from candata.gap.replay.residuals import residual
 from candata.gap.run.pace import FORCE, REST, Forecast
 from candata.gap.search.attribution import Attribution, attribute
 from candata.gap.search.outlook import say_outlook
-from candata.gap.search.replay_means import ALL, SOME, sizes_in_mean
 from candata.gap.validation.closure import HeldOut, gap, held_out
 from candata.gap.validation.null_test import leaves_gap, with_names_tested
 from candata.gap.verdict.calibration import reference_fit, with_calibration
@@ -37,11 +36,6 @@ from candata.scenes.traits import is_toss
 from candata.simulate import with_effects
 
 Array = NDArray[np.float64]
-#: Said of an effect that shows, or acts where it does, in the mean over many replays alone.
-IN_MEAN = (
-    "worth less than one replay of contact differs from the next: found, and the gap measured, in the mean over "
-    f"{ALL - SOME} replays of each episode"
-)
 
 
 def diagnose(
@@ -174,15 +168,11 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> D
     problem.pace.say("measuring on held-out episodes", REST, after=FORCE.most + REST.most if described else 0.0)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
-    if found.mean and found.chosen:
-        before, after = sizes_in_mean(found.mean, found.chosen)
-        held = replace(held, size_before=before, size_after=after)
-        problem = replace(problem, recs=replace(problem.recs, notes=(*problem.recs.notes, IN_MEAN)))
-    elif len(untouched):
+    if len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
     if found.chosen and not leaves_gap(problem, ()) and _fails(problem, found, held):
         # What does not pass says nothing where there is no gap: nulls of a chaotic world hold as much.
-        found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
+        found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False)
         world, held = problem, held_out(problem, None)
     findings = Findings(dataset, scene, problem, found, world, held, len(everything))
     diagnosis = concluded(findings)

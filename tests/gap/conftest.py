@@ -17,8 +17,8 @@ from candata.gap.fit.problem import Problem
 from candata.gap.measure.floor import Floor
 from candata.gap.measure.score import Score, score
 from candata.gap.preparation import _problem
-from candata.gap.replay.replayer import Replayer
-from candata.gap.replay.residuals import Layout
+from candata.gap.replay.replayer import Replayer, replay_all
+from candata.gap.replay.residuals import Layout, residual
 from candata.gap.run.streams import Streams
 from candata.gap.screening.look import as_simulated, look
 from candata.gap.screening.refinement import joint
@@ -249,3 +249,12 @@ def arm_search(arm, arm_episodes) -> Callable[..., tuple[Problem, Responses]]:
 def fitted(problem: Problem, some: Members) -> Fit:
     """A set fitted where it begins, by slopes from signatures alone."""
     return joint(problem, some, problem.score.loss(problem.nominal), widths=())
+
+
+def signatures_of(own, settings):
+    """The signatures of a library, by simulation of all its episodes where they are seen on the recordings."""
+
+    def simulated(some):
+        return [residual(own.recs, own.plan, r) for r in replay_all(own.replayer, own.recs, own.begin, some)]
+
+    return own.signatures(settings, simulated)

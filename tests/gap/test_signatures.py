@@ -17,6 +17,7 @@ from candata.gap.replay.residuals import residual
 from candata.gap.run import cache as kept
 from candata.gap.run.streams import Streams
 from candata.simulate import at_rest, rollout
+from tests.gap.conftest import signatures_of
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_epi
     some = planted("joint_damping", damping_Nms_rad=0.4)
     recs = recordings(arm, arm_episodes(some, noise=False))
     seen = residual(recs, still.plan, replay_all(still.replayer, recs, still.begin, [()])[0])
-    (found,) = shelf(still, tmp_path).signatures([some])
+    (found,) = signatures_of(shelf(still, tmp_path), [some])
     inside = np.isfinite(seen)
     # The recorded world began at the same place: only float32 lies between the two.
     assert found[inside] == pytest.approx(seen[inside], abs=1e-6)
@@ -47,7 +48,7 @@ def test_where_none_are_kept_a_signature_is_what_the_effect_takes_off_the_record
     left = posed.raw - residual(posed.recs, posed.plan, replay_all(posed.replayer, posed.recs, posed.begin, [some])[0])
     steps = []
     counted = replace(posed.library, replayer=replace(posed.replayer, count=steps.append), memo={})
-    (found,) = counted.signatures([some])
+    (found,) = signatures_of(counted, [some])
     inside = np.isfinite(left)
     assert found[inside] == pytest.approx(left[inside], abs=1e-6)
     # One replay of each episode, where a signature that is kept takes a recording beside it.
@@ -65,7 +66,9 @@ def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_e
     recs = replace(recs, readings=played.readings)
     own = _problem(Replayer(arm), recs, Streams(0), tmp_path, lambda stage: None, share=True)
     inside = np.isfinite(own.raw)
-    (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))
+    (found,), (other,) = (
+        signatures_of(part, [some]) for part in (own.library, replace(own.library, own=False, memo={}))
+    )
     error, wrong = (np.abs(one[inside] - own.raw[inside]).max() for one in (found, other))
     assert np.abs(own.raw[inside]).max() > 1e-3
     assert error < 0.2 * wrong
@@ -76,8 +79,8 @@ def test_a_sensor_that_read_the_start_has_a_signature_where_none_are_shared_too(
     sensor, joint = planted("joint_offset", offset_rad=(0.08, -0.06)), planted("armature", armature_kgm2=0.01)
     shared, own = shelf(still, tmp_path), replace(still.library, memo={})
     assert (shared.seen, own.seen, shared.own) == (False, True, True)
-    assert np.array_equal(*(part.signatures([sensor])[0] for part in (shared, own)), equal_nan=True)
-    assert not np.array_equal(*(part.signatures([joint])[0] for part in (shared, own)), equal_nan=True)
+    assert np.array_equal(*(signatures_of(part, [sensor])[0] for part in (shared, own)), equal_nan=True)
+    assert not np.array_equal(*(signatures_of(part, [joint])[0] for part in (shared, own)), equal_nan=True)
 
 
 def test_only_the_recording_whose_start_it_is_owns_a_library(still, planted, tmp_path):
@@ -93,11 +96,11 @@ def test_only_the_recording_whose_start_it_is_owns_a_library(still, planted, tmp
 
 def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, tmp_path):
     some = planted("armature", armature_kgm2=0.01)
-    (fresh,) = shelf(still, tmp_path / "other").signatures([some])
-    (made,) = shelf(still, tmp_path).signatures([some])
+    (fresh,) = signatures_of(shelf(still, tmp_path / "other"), [some])
+    (made,) = signatures_of(shelf(still, tmp_path), [some])
     steps = []
     counted = replace(still, replayer=replace(still.replayer, count=steps.append))
-    (kept,) = shelf(counted, tmp_path).signatures([some])
+    (kept,) = signatures_of(shelf(counted, tmp_path), [some])
     assert np.array_equal(made, fresh, equal_nan=True)
     assert np.array_equal(kept, fresh, equal_nan=True)
     assert steps == []
@@ -110,22 +113,21 @@ def test_long_simulations_say_how_far_they_are(still, planted, monkeypatch, tmp_
     told = []
     some = [planted("armature", armature_kgm2=x) for x in (0.001, 0.002, 0.003)]
     root = tmp_path if kept else None
-    library(still.replayer, still.recs, still.begin, still.plan, still.raw, root, told.append, share=kept).signatures(
-        some
-    )
+    args = (still.replayer, still.recs, still.begin, still.plan, still.raw, root, told.append)
+    signatures_of(library(*args, share=kept), some)
     assert [t.partition(",")[0] for t in told] == ["simulating effects: 1 of 3", "simulating effects: 2 of 3"]
     assert all(t.endswith(" s left of these") for t in told)
 
 
 def test_a_damaged_file_is_made_again(still, planted, tmp_path):
     some = planted("armature", armature_kgm2=0.02)
-    (made,) = shelf(still, tmp_path).signatures([some])
+    (made,) = signatures_of(shelf(still, tmp_path), [some])
     for file in tmp_path.rglob("*.npz"):
         if file.name != "starts.npz":
             data = bytearray(file.read_bytes())
             data[len(data) // 2] ^= 255
             file.write_bytes(data)
-    (again,) = shelf(still, tmp_path).signatures([some])
+    (again,) = signatures_of(shelf(still, tmp_path), [some])
     assert np.array_equal(again, made, equal_nan=True)
 
 
@@ -184,7 +186,7 @@ def test_nulls_are_the_same_with_and_without_the_cache(still, tmp_path):
 
 def test_a_cache_that_cannot_be_written_is_no_harm(still, planted, tmp_path):
     (tmp_path / "signatures").write_text("a file where a folder should be")
-    (found,) = shelf(still, tmp_path).signatures([planted("armature", armature_kgm2=0.02)])
+    (found,) = signatures_of(shelf(still, tmp_path), [planted("armature", armature_kgm2=0.02)])
     assert np.isfinite(found).any()
 
 
@@ -197,19 +199,19 @@ def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, planted, t
         return library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=share)
 
     first = begun(0.0)
-    first.signatures([some])
+    signatures_of(first, [some])
     monkeypatch.setattr(kept, "LIMIT_BYTES", 10)
     second = begun(1e-6)
-    second.signatures([some])
+    signatures_of(second, [some])
     assert (first.folder.exists(), second.folder.exists()) == (True, True)  # somebody may be at work with it
     monkeypatch.setattr(kept, "IN_USE_S", -1.0)
-    begun(2e-6).signatures([some])
+    signatures_of(begun(2e-6), [some])
     assert (first.folder.exists(), second.folder.exists()) == (False, False)
 
 
 def test_a_set_that_is_used_again_stays_longest(still, planted, tmp_path):
     first = library(still.replayer, still.recs, still.begin, still.plan, still.raw, tmp_path)
-    first.signatures([planted("armature", armature_kgm2=0.01)])
+    signatures_of(first, [planted("armature", armature_kgm2=0.01)])
     os.utime(first.folder, (1, 1))
     library(still.replayer, still.recs, still.begin, still.plan, still.raw, tmp_path)
     assert first.folder.stat().st_mtime > 1
@@ -230,9 +232,9 @@ def test_without_a_cache_nothing_is_simulated_twice(still, planted):
     counted = replace(still, replayer=replace(still.replayer, count=steps.append))
     found = shelf(counted, None)
     some = planted("armature", armature_kgm2=0.01)
-    (first,) = found.signatures([some])
+    (first,) = signatures_of(found, [some])
     done = len(steps)
-    (again,) = found.signatures([some])
+    (again,) = signatures_of(found, [some])
     assert done > 0
     assert len(steps) == done
     assert again is first

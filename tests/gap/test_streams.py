@@ -18,7 +18,7 @@ from candata.gap.screening.look import look
 from candata.gap.validation.closure import shares
 from candata.gap.validation.intervals import intervals
 from candata.gap.validation.null_test import null_gains
-from tests.gap.conftest import members, step_problem
+from tests.gap.conftest import members, signatures_of, step_problem
 
 
 def drawn(*asked, seed: int = 0) -> float:
@@ -91,7 +91,7 @@ def test_what_is_seen_of_an_effect_does_not_depend_on_what_is_asked_with_it(prob
 
     def seen(asked):
         args = (problem.recs, problem.begin, problem.plan, problem.raw, None)
-        return library(problem.replayer, *args).signatures(asked)
+        return signatures_of(library(problem.replayer, *args), asked)
 
     together = seen(some)
     for one, alone in zip(together, (seen([s])[0] for s in some), strict=True):

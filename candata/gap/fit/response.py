@@ -141,7 +141,7 @@ class Curve:
             loss = table[:, train].mean(1)
             i = int(np.argmin(loss))
             inside = 0 < i < len(grid) - 1 and not self.who.choices and abs(grid[i] - own) > SAME
-            return np.array([vertex(grid[i - 1 : i + 2], loss[i - 1 : i + 2]) if inside else grid[i]])
+            return np.array([_vertex(grid[i - 1 : i + 2], loss[i - 1 : i + 2]) if inside else grid[i]])
 
         return best
 
@@ -204,7 +204,7 @@ class Plane:
         return np.clip(self.at + step, self.low, self.high)
 
 
-def vertex(at: Array, loss: Array) -> float:
+def _vertex(at: Array, loss: Array) -> float:
     """Return where the parabola through three points `(3,)` is least, the middle one lying lowest."""
     (a, m, b), (fa, fm, fb) = at, loss
     left, right = (m - a) * (fm - fb), (m - b) * (fm - fa)

@@ -96,15 +96,14 @@ class Library:
             self.parts[key] = replace(part, own=self.own and part.own)
         return self.parts[key]
 
-    def signatures(self, settings: Sequence[EffectSet], replayed: Replayed | None = None) -> list[Compact]:
+    def signatures(self, settings: Sequence[EffectSet], replayed: Replayed) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared.
 
-        What is seen on the recording itself comes from `replayed`, by default by simulation of all episodes.
+        What is seen on the recordings themselves comes from `replayed`.
         """
         # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
         order = range(len(settings)) if self.seen else np.random.default_rng(os.getpid()).permutation(len(settings))
         each = max(1, BATCH // len(self.recs)) if self.seen else 1
-        replayed = replayed or self._replayed
         found: dict[int, Compact] = {}
         begun = told_s = time.monotonic()
         for first in range(0, len(settings), each):
@@ -135,11 +134,6 @@ class Library:
             self.memo[name] = (self.raw - left).astype(np.float32)
             cache.keep(self._file(name), residual=self.memo[name])
         return [self.memo[name] for name in names]
-
-    def _replayed(self, settings: Sequence[EffectSet]) -> list[Array]:
-        """Return the residuals of the recordings with each effect set."""
-        played = replay_all(self.replayer, self.recs, self.begin, settings)
-        return [residual(self.recs, self.plan, readings) for readings in played]
 
     def knows(self, some: EffectSet) -> bool:
         """Tell whether this diagnosis has a signature already."""

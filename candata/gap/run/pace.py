@@ -23,8 +23,6 @@ ONE, ANOTHER, SHARPEN, REST = Span(12, 36), Span(30, 65), Span(6, 20), Span(1, 1
 AGAIN = Span(40, 270)
 #: Counting the episodes that one value explains, of one scalar or two, and the floors of two worlds: by their numbers.
 COUNT = Span(10, 55)
-#: Looking for a faint effect in the mean over many replays, or for where it acts: 13 drawn cases of a gripper.
-MEAN = Span(12, 190)
 #: Trying one force in the place of effects: two cases of a gripper, 32 replays and as much time again of fitting.
 FORCE = Span(0, 80)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.

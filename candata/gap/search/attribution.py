@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from candata.gap.fit.acceptance import LEFT, MOST, left_by
-from candata.gap.fit.comparison import UNSURE, is_tied, null_level, tied_with
+from candata.gap.fit.comparison import null_level, tied_with
 from candata.gap.fit.fits import Fit, Members
 from candata.gap.fit.problem import Problem
 from candata.gap.fit.stage import Stage
@@ -20,7 +20,6 @@ from candata.gap.screening.shortlist import WORTH, gains_share
 from candata.gap.search.agenda import aliases, begun, search
 from candata.gap.search.episode_counts import alone, recentred
 from candata.gap.search.outlook import further
-from candata.gap.search.replay_means import Averaged, faint, placed
 from candata.scenes.traits import is_toss
 
 #: Share of the gap that the best effect alone must leave for sets to be tried before it is compared sharply with its
@@ -29,9 +28,6 @@ FAR = 0.25
 #: Floors that must be left for every effect to be simulated on the recording, and the share of what the first search
 #: leaves to which the second one must come down to replace it. Chosen.
 SETTLED, SMALLER = 0.5, 0.8
-#: Loss above the floor below which what is faint is looked for in the mean over many replays, and gain [floors] below
-#: which it is asked there on which element an effect acts, as it is where one replay does not tell. Chosen.
-HIDDEN, UNPLACED = 0.1, 0.3
 
 
 @dataclass(frozen=True)
@@ -58,8 +54,6 @@ class Attribution:
         A force that explains clearly more than what was found, where that ended the search.
     doubt : Doubt or None
         What one force closes in the place of effects; None of tosses.
-    mean : Averaged or None
-        The replays in the mean over which alone the effect shows, or where it acts.
     """
 
     first: Stage
@@ -70,7 +64,6 @@ class Attribution:
     rivals: tuple[Fit, ...] = ()
     force: Mended | None = None
     doubt: Doubt | None = None
-    mean: Averaged | None = None
 
 
 def attribute(problem: Problem) -> Attribution:
@@ -79,13 +72,11 @@ def attribute(problem: Problem) -> Attribution:
     Where a search by signatures leaves most of the gap, or names nothing, the episodes are counted that one value
     explains, and then every effect is simulated on the recording: in a world far from the nominal one, or where contact
     is chaos, signatures say little of what an effect does there. Where one force explains clearly more than what is
-    found, no more is looked for. In the end the mean over many replays shows what contact hides from one.
+    found, no more is looked for.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(LoneForce(problem))
-    found = _attributed(problem, doubt)
-    shown = None if found.force or is_toss(problem.replayer.scene) else _in_mean(problem, found)
-    return replace(shown or found, doubt=doubt)
+    return replace(_attributed(problem, doubt), doubt=doubt)
 
 
 def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
@@ -122,59 +113,6 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
-
-
-def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
-    """Return what the mean over many replays shows of a faint gap, or of where an effect acts; None of any other."""
-    chosen = found.chosen
-    if chosen is None:
-        shown = faint(problem, found.first) if _is_little(found.first) or not found.remains else None
-        return _shown(problem, found.first, *shown) if shown else None
-    alone = len(chosen.members) == len(found.tied) == 1
-    asked = alone and (chosen.gain < UNPLACED or _is_anyones(found.first, chosen))
-    return _located(problem, found.first, chosen) if asked else None
-
-
-def _located(problem: Problem, first: Stage, chosen: Fit) -> Attribution | None:
-    """Return an effect alone where it acts by the mean, or none where it is luck; None where it stays as it is."""
-    shown = placed(problem, chosen)
-    if shown is None:
-        return None
-    fit, mean = shown
-    if fit is None:
-        return Attribution(first, None, (), problem.score, False) if _is_little(first) else None
-    own = next((f for f in first.fits if f.labels == fit.labels), None)
-    if chosen.gain < HIDDEN or own is None:
-        return _shown(problem, first, fit, mean)
-    # One replay shows it well enough to tell its value.
-    sharp = polished(problem, own, first.base)
-    fit, world, remains = judged(problem, sharp)
-    return Attribution(_headed(first, sharp), fit, (fit,), world.score, remains)
-
-
-def _shown(problem: Problem, first: Stage, fit: Fit, mean: Averaged) -> Attribution:
-    """Return an effect that shows in the mean alone."""
-    # Fresh noise on top costs every world as much: beside other fits it counts by what it gains.
-    fit = replace(fit, evidence=replace(fit.evidence, loss=first.base - fit.evidence.gain))
-    return Attribution(_headed(first, fit), fit, (fit,), problem.score, False, mean=mean)
-
-
-def _is_little(first: Stage) -> bool:
-    """Tell whether the gap is as small as nulls have."""
-    return float(first.base.mean()) < 1 + HIDDEN
-
-
-def _headed(first: Stage, best: Fit) -> Stage:
-    """Return the evidence of every candidate alone with a fit as the first of them."""
-    return replace(first, fits=(best, *(f for f in first.fits if f.labels != best.labels)))
-
-
-def _is_anyones(first: Stage, chosen: Fit) -> bool:
-    """Tell whether an effect on other elements explains about as much, so that one replay may not tell which it is."""
-    (name,) = {c.name for c, _ in chosen.members}
-    # All of them in units of the nominal world's floor, as `chosen` is not.
-    same = sorted((f for f in first.fits if f.members[0][0].name == name), key=lambda f: -f.gain)
-    return any(is_tied(f, same[0], UNSURE) for f in same[1:])
 
 
 def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members] | None:

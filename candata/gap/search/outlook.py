@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from candata.gap.fit.acceptance import LARGEST
 from candata.gap.fit.problem import Problem
-from candata.gap.run.pace import ANOTHER, MEAN, ONE, REST, SHARPEN, SIGNATURE, Span
+from candata.gap.run.pace import ANOTHER, ONE, REST, SHARPEN, SIGNATURE, Span
 from candata.gap.screening.demand import wanted
 from candata.gap.screening.look import unheld
 from candata.gap.screening.signature_screen import screening
@@ -22,9 +22,7 @@ def say_outlook(problem: Problem) -> None:
     lacking = _lacking(problem)
     if lacking:
         more += f"; {lacking} effects to simulate first"
-    # Where there is no gap, a look at the mean over many replays takes the place of other causes.
-    faint = 0.0 if is_toss(problem.replayer.scene) else MEAN.most + REST.most
-    problem.pace.say("searching effects", first_cause(problem), more, after=max(further(problem, 1), faint))
+    problem.pace.say("searching effects", first_cause(problem), more, after=further(problem, 1))
 
 
 def further(problem: Problem, found: int) -> float:

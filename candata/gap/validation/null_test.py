@@ -48,20 +48,20 @@ def with_names_tested(problem: Problem, found: Attribution) -> Attribution:
     if fit is None or found.force is not None:
         return found
     world = replace(problem, score=found.score)
-    failing = _first_failing(world, found, fit)
+    failing = _first_failing(world, fit)
     if failing is None:
         return found
     stays = tuple(m for i, m in enumerate(fit.members) if i != failing)
     if not stays:
         remains = leaves_gap(problem, ())
-        return replace(found, chosen=None, tied=(), score=problem.score, remains=remains, rivals=(), mean=None)
+        return replace(found, chosen=None, tied=(), score=problem.score, remains=remains, rivals=())
     fit = joint(world, stays, world.score.loss(world.nominal), WIDTHS[1:])
     fit, world, remains = judged(world, fit)
-    less = replace(found, chosen=fit, tied=(fit,), score=world.score, remains=remains, rivals=(), mean=None)
+    less = replace(found, chosen=fit, tied=(fit,), score=world.score, remains=remains, rivals=())
     return with_names_tested(problem, less)
 
 
-def _first_failing(problem: Problem, found: Attribution, fit: Fit) -> int | None:
+def _first_failing(problem: Problem, fit: Fit) -> int | None:
     """Return the index of a member that fails a test, those that gain least asked first; None where all pass."""
     measured = {c.name for c, _ in problem.measured}
     here = problem.score.loss(problem.residuals([problem.setting(fit.members)])[0])
@@ -76,8 +76,7 @@ def _first_failing(problem: Problem, found: Attribution, fit: Fit) -> int | None
             continue
         if _holds_neutral(c, ends[0][i][1], ends[1][i][1]):
             return i
-        # An effect that shows in the mean over many replays alone was compared with null recordings there.
-        if found.mean is None and not surpasses_nulls(problem, fit.members, i, gains[i]):
+        if not surpasses_nulls(problem, fit.members, i, gains[i]):
             return i
     return None
 

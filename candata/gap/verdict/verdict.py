@@ -40,7 +40,7 @@ def verdict(found: Attribution, size: Gap, measured: Members = ()) -> Verdict:
     few = closed > 0 and elsewhere >= LARGER_PART
     least = LARGER_PART if len(found.chosen.members) == 1 else PARTLY
     # Where the interval of the share reaches `EXPLAINED`, the gap is too small for it: the held-out gain has decided.
-    unsure = little and (closed > 0 or found.mean is not None) and not loose and (size.high or 0.0) >= EXPLAINED
+    unsure = little and closed > 0 and not loose and (size.high or 0.0) >= EXPLAINED
     spared = few and elsewhere >= ALL_BUT_A_FEW and not many
     if not unsure and ((faint and not spared) or (closed < least and not few)):
         return "unknown_effect"
