@@ -155,7 +155,6 @@ def test_a_number_that_stopped_at_its_bound_is_known_from_the_other_side(arm):
 
 
 def test_where_the_loss_has_not_even_risen_at_the_effects_absence_the_interval_stays(arm, monkeypatch):
-    """What shows in the mean over many replays alone, single ones do not tell."""
     problem, fit = posed(arm, lambda u, off: 0 * off, own=0.1)
     monkeypatch.setattr(
         "candata.gap.validation.profile.intervals", lambda problem, fit: (np.array([0.08]), np.array([0.12]))
