@@ -96,7 +96,9 @@ def stopgap(
 
     def settings(scale: float, train: Index | None = None) -> EffectSet:
         """Return the suspects' forces, fitted to some episodes, times a scale."""
-        fits = [s.found.coefficients if train is None else fitted(s.sample, s.found.terms, train) for s in some]
+        fits = [
+            s.description.coefficients if train is None else fitted(s.sample, s.description.terms, train) for s in some
+        ]
         return tuple(_setting(scene, s, scale * fit) for s, fit in zip(some, fits, strict=True))
 
     readings = replay_all(part.replayer, part.recs, part.begin, [(*world, *settings(scale)) for scale in SCALES])
@@ -117,7 +119,9 @@ def _reading(problem: Problem, before: dict[str, Array], some: Sequence[Suspect]
     scene = problem.replayer.scene
     tips = [scene.file.fingertips.index(s.element) for s in some]
     felt = np.nan_to_num(before["fingertip_force"])
-    terms = [tip_terms(scene, felt[:, :, tip])[..., list(s.found.terms)] for tip, s in zip(tips, some, strict=True)]
+    terms = [
+        tip_terms(scene, felt[:, :, tip])[..., list(s.description.terms)] for tip, s in zip(tips, some, strict=True)
+    ]
 
     def corrected(scales: Sequence[float], fits: Sequence[Sequence[Array]]) -> tuple[Array, Array]:
         """Return loss and discrepancy with each fold's readings corrected by its own fits."""
@@ -128,9 +132,9 @@ def _reading(problem: Problem, before: dict[str, Array], some: Sequence[Suspect]
         return _judged(problem, before | {"fingertip_force": force})
 
     folds = len(problem.parts)
-    whole = [s.found.coefficients for s in some]
+    whole = [s.description.coefficients for s in some]
     losses = np.stack([corrected([s] * folds, [whole] * folds)[0] for s in (0.0, *SCALES)])
-    fits = [[fitted(s.sample, s.found.terms, train) for s in some] for train in trains]
+    fits = [[fitted(s.sample, s.description.terms, train) for s in some] for train in trains]
     scales = [_best_scale(losses[:, rest(problem.parts, fold)].mean(1)) for fold in range(folds)]
     loss, size = corrected(scales, fits)
     return Stopgap(tuple(some), _best_scale(losses.mean(1)), (), loss, size, _judged(problem, before)[1])
@@ -157,7 +161,7 @@ def _setting(scene: Scene, suspect: Suspect, coefficients: Array) -> EffectSetti
     parameters = effect(EFFECT).parameters
     x = np.concatenate([np.full(p.size(scene), p.identity(scene)) for p in parameters])
     joints, total = sizes(scene)[0], sum(sizes(scene))
-    for k, row in zip(suspect.found.terms, coefficients, strict=True):
+    for k, row in zip(suspect.description.terms, coefficients, strict=True):
         if suspect.place == "object":
             first = joints + k * AXES
             x[first + suspect.axes.start : first + suspect.axes.stop] = row

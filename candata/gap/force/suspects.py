@@ -57,7 +57,7 @@ class Suspect:
         Block means.
     by_row : (E, T, A, K) float64
         The terms of every row in which a force could show; NaN in others.
-    found : Description
+    description : Description
     wave : float
         Wave number of the periodic terms.
     names : tuple of tuples of str
@@ -69,19 +69,21 @@ class Suspect:
     axes: slice
     sample: Sample
     by_row: Array
-    found: Description
+    description: Description
     wave: float
     names: tuple[tuple[str, ...], ...]
 
     @property
     def gain(self) -> float:
         """Held-out gain."""
-        return float(self.found.gain.sum())
+        return float(self.description.gain.sum())
 
     @property
     def depends_on(self) -> tuple[str, ...]:
         """What the force depends on, the most telling first."""
-        return tuple(dict.fromkeys(name.replace("periodic ", "") for k in self.found.terms for name in self.names[k]))
+        return tuple(
+            dict.fromkeys(name.replace("periodic ", "") for k in self.description.terms for name in self.names[k])
+        )
 
 
 def suspects(scene: Scene, real: Residual, null: Residual, parts: Sequence[Index]) -> list[Suspect]:
@@ -104,7 +106,7 @@ def suspects(scene: Scene, real: Residual, null: Residual, parts: Sequence[Index
 
 def otherwise(suspect: Suspect, parts: Sequence[Index]) -> list[Suspect]:
     """Return a suspect with other plain descriptions that held-out episodes do not tell from the best, best first."""
-    return [replace(suspect, found=d) for d in alternatives(suspect.sample, parts, suspect.found.terms)]
+    return [replace(suspect, description=d) for d in alternatives(suspect.sample, parts, suspect.description.terms)]
 
 
 def pulls(scene: Scene, suspect: Suspect) -> list[Suspect]:
@@ -120,7 +122,9 @@ def pulls(scene: Scene, suspect: Suspect) -> list[Suspect]:
     for k, name in enumerate(OBJECT_TERMS):
         if name == ("nearness to the support",):
             sample = replace(suspect.sample, force=suspect.sample.terms[..., k] * down)
-            out.append(replace(suspect, sample=sample, found=Description((k,), down[None], suspect.found.gain)))
+            out.append(
+                replace(suspect, sample=sample, description=Description((k,), down[None], suspect.description.gain))
+            )
     return out
 
 

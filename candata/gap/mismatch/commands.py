@@ -44,7 +44,7 @@ class Paired:
         Where they would rest.
     joint : (E, T, S) float64
         What was recorded of these joints, NaN where not seen.
-    found : Lagged
+    moments : Lagged
         Joints against all targets, at lags from 0 up to `REACH_S`.
     """
 
@@ -52,16 +52,16 @@ class Paired:
     names: tuple[str, ...]
     target: Array
     joint: Array
-    found: Lagged
+    moments: Lagged
 
-    def own(self, values: Array) -> Array:
+    def at_best_lag(self, values: Array) -> Array:
         """Return `(S,)` of values `(L, S, S)`: each joint with its own command at the lag of most correlation."""
-        best = np.abs(self.found.r2()).argmax(0)
+        best = np.abs(self.moments.r2()).argmax(0)
         return np.diag(at_best(values, best))
 
     def moved_as(self, joint: Array) -> Paired:
         """Return the same commands beside other joints `(E, T, S)`."""
-        return replace(self, joint=joint, found=lag_moments(joint, self.target, self.found.lags))
+        return replace(self, joint=joint, moments=lag_moments(joint, self.target, self.moments.lags))
 
     @property
     def quiet(self) -> Array:
@@ -82,7 +82,7 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
 
 def unit_findings(scene: Scene, p: Paired) -> list[RecordingMismatch]:
     """Return joints that follow their command at the factor of another unit."""
-    slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
+    slope, r2 = p.at_best_lag(p.moments.slope()), np.abs(p.at_best_lag(p.moments.r2()))
     follows = (r2 > FOLLOWS) & moving(p)
     commanded, out = episode_spread(p.target) > 1e-3, []
     factors = np.array([1 / f for f in UNITS.values()] + list(UNITS.values()))
@@ -105,9 +105,9 @@ def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     nominal : (E, T, S) float64
         Joints of the servos in a nominal replay.
     """
-    follows = (np.abs(p.own(p.found.r2())) > FOLLOWS) & moving(p)
-    slope, scene = p.own(p.found.slope()), p.moved_as(nominal)
-    scene_slope = scene.own(scene.found.slope())
+    follows = (np.abs(p.at_best_lag(p.moments.r2())) > FOLLOWS) & moving(p)
+    slope, scene = p.at_best_lag(p.moments.slope()), p.moved_as(nominal)
+    scene_slope = scene.at_best_lag(scene.moments.slope())
     most = np.maximum(np.abs(slope), np.abs(scene_slope))
     follows &= (slope * scene_slope <= 0) | (most > MULTIPLE * np.minimum(np.abs(slope), np.abs(scene_slope)))
     large = follows & (np.abs(slope) > MULTIPLE)
@@ -176,9 +176,9 @@ def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMism
 
 def late(p: Paired, nominal: Array) -> Array:
     """Return `(S,)` rows by which each recorded joint comes after the scene's own; NaN where it does not follow."""
-    reach = min(max(4, p.found.lags[-1]), p.joint.shape[1] // 4)
+    reach = min(max(4, p.moments.lags[-1]), p.joint.shape[1] // 4)
     rows = own_lag(p.joint, nominal, int(reach))
-    return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & moving(p), rows, np.nan)
+    return np.where((np.abs(p.at_best_lag(p.moments.r2())) > FOLLOWS) & moving(p), rows, np.nan)
 
 
 def episode_spread(values: Array) -> Array:

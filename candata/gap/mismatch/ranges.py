@@ -79,7 +79,7 @@ def range_findings(scene: Scene, recs: Recordings, pairs: Paired | None) -> list
 
 def _following(b: Beyond, p: Paired, episodes: Mask) -> _Following:
     """Return how joints follow commands in some episodes."""
-    found = lag_moments(p.joint[episodes], p.target[episodes], p.found.lags)
+    found = lag_moments(p.joint[episodes], p.target[episodes], p.moments.lags)
     r2 = np.abs(found.r2())
     best = r2.argmax(0)
     each = at_best(r2, best)

@@ -86,7 +86,7 @@ def _asked(cost: Array) -> list[tuple[int, ...]]:
 
 def _cost(p: Paired, episode: int) -> Array:
     """Return `(S, S)` the log squared error of each joint with each command in one episode, at its best lag."""
-    found = lag_moments(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.found.lags)
+    found = lag_moments(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.moments.lags)
     away = np.abs(found.mean_q[:, :, None] - found.mean_u)
     error = (found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
     # A joint that was not seen has no say.

@@ -23,7 +23,7 @@ ZERO_RAD = 0.3
 
 def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
-    slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
+    slope, r2 = p.at_best_lag(p.moments.slope()), p.at_best_lag(p.moments.r2())
     flat = (p.joint - nominal).reshape(-1, len(p.names))
     off = flat[np.isfinite(flat).all(1)]
     if not len(off):

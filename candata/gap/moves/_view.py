@@ -63,7 +63,7 @@ class View:
         return self.remains and not is_full(self.members, self.problem.measured)
 
     @cached_property
-    def here(self) -> Compact:
+    def residuals(self) -> Compact:
         """Residuals `(e, K)` of the few episodes with the set."""
         return self.problem.where(self.fit)[self.index]
 
@@ -77,17 +77,19 @@ class View:
             slope = slope_of(c, self.fit.response, u, WITHIN)
         ends = np.cumsum([c.size for c, _ in self.members])[:-1]
         parts = np.split(slope[:, self.index], ends)
-        return [(c, Plane(c.low, c.high, u, self.here, each)) for (c, u), each in zip(self.members, parts, strict=True)]
+        return [
+            (c, Plane(c.low, c.high, u, self.residuals, each)) for (c, u), each in zip(self.members, parts, strict=True)
+        ]
 
     @cached_property
-    def now(self) -> float:
+    def loss(self) -> float:
         """Loss [floors] of the set on the few episodes."""
-        return float(self.part.score.loss(self.here).mean())
+        return float(self.part.score.loss(self.residuals).mean())
 
     def beside(self, held: Members) -> list[Sum]:
         """Return some members of the set with each other effect, by what signatures promise, the best first."""
         kept = [piece for piece in self.pieces if any(piece[0] is c for c, _ in held)]
-        here = self.here if len(held) == len(self.members) else self.part.at(held)
+        here = self.residuals if len(held) == len(self.members) else self.part.at(held)
         others = self._responses(here, held)
         kept = [(c, Plane(r.low, r.high, r.at, here, r.slope)) for c, r in kept]  # type: ignore[union-attr]
         return beside(self.part, here, kept, others)

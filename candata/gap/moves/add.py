@@ -24,5 +24,5 @@ def _spread(view: View) -> Iterator[Members]:
     for more in view.beside(view.members):
         name = more.members[-1][0].name
         count[name] = count.get(name, 0) + 1
-        if count[name] <= VARIANTS and (more.loss < view.now or more.members[-1][0].choices):
+        if count[name] <= VARIANTS and (more.loss < view.loss or more.members[-1][0].choices):
             yield more.members

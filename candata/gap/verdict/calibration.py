@@ -53,7 +53,7 @@ def with_calibration(findings: Findings, diagnosis: Diagnosis, measure: Measure)
     replays = min(MOST_REPLAYS, SHARE * problem.sofar.episodes_replayed / len(problem.recs))
     problem.pace.say("fitting all quantities together", Span(0, replays), after=1.0)
     try:
-        fitted = _fitted(problem, findings.found, replays)
+        fitted = _fitted(problem, findings.attribution, replays)
         if fitted is None:
             return diagnosis
         held = measure(fitted.fit)

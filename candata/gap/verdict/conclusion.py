@@ -55,12 +55,12 @@ NEAR_BOUND = 0.01
 
 def concluded(f: Findings) -> Diagnosis:
     """Return the diagnosis drawn from all findings."""
-    chosen = f.found.chosen
-    is_left = chosen is not None or f.found.remains
+    chosen = f.attribution.chosen
+    is_left = chosen is not None or f.attribution.remains
     ids = f.held.recs.ids
     rng = f.problem.streams.of("gap", ids)
     size = gap(f.held.size_before, f.held.size_after, rng, gap_left=is_left, ids=ids if chosen else ())
-    word = verdict(f.found, size, f.problem.measured)
+    word = verdict(f.attribution, size, f.problem.measured)
     heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, f.problem.stream("where", ()))
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     where = with_regimes(where, f.problem)
@@ -72,7 +72,7 @@ def concluded(f: Findings) -> Diagnosis:
         rng = f.world.stream("where", f.problem.setting(chosen.members if chosen else ()))
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = typical_size(f.world, f.held, chosen is not None, left[0]) if left else (None, None)
-    proposed, motion = separating(judged_problem(f), f.found) if word == "ambiguous" else (None, ())
+    proposed, motion = separating(judged_problem(f), f.attribution) if word == "ambiguous" else (None, ())
     named: tuple[NamedEffect, ...] = ()
     repaired: EffectSet = ()
     if chosen and word in ("explained", "partly_explained"):
@@ -83,11 +83,11 @@ def concluded(f: Findings) -> Diagnosis:
     report = Report(
         verdict=word,
         effects=named,
-        ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
+        ambiguous_class=class_of(f.attribution.tied) if word == "ambiguous" else (),
         unknown=rest.unknown
         if rest
-        else unnamed_cause(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
-        ranking=ranked(f.found.first, f.problem),
+        else unnamed_cause(word, f.attribution, left, acts_on(left, slides(f.scene)), typical, unit),
+        ranking=ranked(f.attribution.first, f.problem),
         gap=size,
         where=where,
         next_motion=proposed,
@@ -108,7 +108,7 @@ def concluded(f: Findings) -> Diagnosis:
         shown,
         losses,
         elements(f.world, f.held, bool(named)),
-        collinearity(f.found.first.fits),
+        collinearity(f.attribution.first.fits),
         ranges(named, f.scene),
     )
     stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
@@ -122,12 +122,12 @@ def _unseated(f: Findings, word: Verdict, size: Gap, where: Sequence[Symptom]) -
     No less is enough where that leaves more than right names do. (For a motor that cogs, two faults of its joint were
     tied that closed 44 %; the force closes 83 %.)
     """
-    nearest = f.found.first.fits[0].labels[0] if f.found.first.fits else None
-    if f.found.force:
-        return described(f.found.force, (), where, nearest)
+    nearest = f.attribution.first.fits[0].labels[0] if f.attribution.first.fits else None
+    if f.attribution.force:
+        return described(f.attribution.force, (), where, nearest)
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    problem, chosen, doubt = judged_problem(f), f.found.chosen, f.found.doubt
+    problem, chosen, doubt = judged_problem(f), f.attribution.chosen, f.attribution.doubt
     closed = size.closed or 0.0
     force = cache(lambda: mended(problem, ()) if doubt is None or doubt.may_close(closed) else None)
     found = unseating(force, size, where, nearest)
@@ -140,11 +140,11 @@ def _rest(f: Findings, word: Verdict, repaired: EffectSet, left: Sequence[Sympto
     """Return what remains unexplained as a force; None where nothing remains, or none stands out."""
     if word not in ("unknown_effect", "partly_explained"):
         return None
-    fits = f.found.first.fits
+    fits = f.attribution.first.fits
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
-    if repaired or f.found.doubt is None:
+    if repaired or f.attribution.doubt is None:
         return describe(judged_problem(f) if repaired else f.problem, repaired, left, nearest)
-    found = f.found.doubt.lone.of_all
+    found = f.attribution.doubt.lone.of_all
     return described(found, (), left, nearest) if found else None
 
 
@@ -159,7 +159,9 @@ def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) 
 def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
     alone = _support_alone(f, fit)
-    pieces = zip(fit.members, _estimates(f, fit, ends), shares(judged_problem(f), fit, f.found.rivals), strict=True)
+    pieces = zip(
+        fit.members, _estimates(f, fit, ends), shares(judged_problem(f), fit, f.attribution.rivals), strict=True
+    )
     out = []
     for (c, u), estimates, (share, backing) in pieces:
         out.append(
@@ -170,7 +172,7 @@ def _named(f: Findings, fit: Fit, ends: Known, trusted: float) -> tuple[NamedEff
                 at_bound=_is_at_bound(c, u),
                 support=round(trusted * (alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
-                rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
+                rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.attribution.rivals if c.label not in r.labels)),
             )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
@@ -181,7 +183,7 @@ def _support_alone(f: Findings, fit: Fit) -> float:
 
     A set of one effect that was looked at there counts as it was found there, like its rivals.
     """
-    first = f.found.first
+    first = f.attribution.first
     own = next((g for g in first.fits if g.labels == fit.labels), None)
     own = own or in_units(fit, judged_problem(f), f.problem)
     others = [g for g in first.fits if g.labels != fit.labels]

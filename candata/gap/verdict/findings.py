@@ -68,7 +68,7 @@ class Findings:
     dataset: Dataset
     scene: Scene
     problem: Problem
-    found: Attribution
+    attribution: Attribution
     world: Problem
     held: HeldOut
     episodes: int
@@ -86,4 +86,4 @@ def lasting(name: str) -> str:
 
 def judged_problem(f: Findings) -> Problem:
     """Return the problem in units of the floor by which the candidates were judged."""
-    return replace(f.problem, score=f.found.score)
+    return replace(f.problem, score=f.attribution.score)

@@ -163,8 +163,8 @@ def _typical(best: Stopgap) -> tuple[Array, float]:
     """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
     suspect = best.suspects[0]
     scale = best.scale if best.closed > 0 else 1.0
-    terms = suspect.by_row[..., list(suspect.found.terms)]
-    force = scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
+    terms = suspect.by_row[..., list(suspect.description.terms)]
+    force = scale * np.einsum("etak,ka->eta", terms, suspect.description.coefficients)
     force = force[np.isfinite(force).all(2)]
     size = np.sqrt((force**2).sum(1))
     acting = size > ACTS * np.quantile(size, 0.95)
@@ -184,7 +184,7 @@ def _mostly_off(problem: Problem, best: Stopgap) -> bool:
     if problem.replayer.scene.file.support is None:
         return False
     sample = best.suspects[0].sample
-    seen = np.isfinite(sample.force[..., int(np.abs(best.suspects[0].found.coefficients[0]).argmax())])
+    seen = np.isfinite(sample.force[..., int(np.abs(best.suspects[0].description.coefficients[0]).argmax())])
     return float(sample.terms[seen][:, 0, 1].mean()) >= MOSTLY
 
 
@@ -241,8 +241,8 @@ def _on(names: Sequence[str], lead: str = " that depends on") -> str:
 def _how(best: Stopgap) -> str:
     """Return how a force on a joint goes with its motion and effort."""
     suspect = best.suspects[0]
-    name = suspect.names[suspect.found.terms[0]]
-    against = float(suspect.found.coefficients[0, 0]) < 0
+    name = suspect.names[suspect.description.terms[0]]
+    against = float(suspect.description.coefficients[0, 0]) < 0
     repeat = 2 * np.pi / suspect.wave
     phrase = {
         ("constant",): " that is always there",
