@@ -85,6 +85,18 @@ def test_a_choice_is_taken_at_its_best(arm, posed):
     assert triples == []
 
 
+def test_a_fit_begins_beyond_a_rise_where_slopes_at_the_neutral_value_lead_away(arm, posed):
+    """Contact that comes and goes: a little of an effect makes it worse, and much of it clears all."""
+    part, _ = brief(posed[0])
+    z = part.nominal
+    armature = candidate("armature", arm)
+    grid = armature.neutral + np.array([0.0, 0.4, 0.9]) * (armature.high - armature.neutral)
+    curve = Curve(armature, grid, np.stack([z, 1.5 * z, 0 * z]), np.ones(3, bool))
+    (one,) = beside(part, z, [], [(armature, curve)])
+    assert one.members[0][1] == pytest.approx([grid[2]], rel=0.1)
+    assert one.loss < 0.1
+
+
 @pytest.fixture
 def making_up(arm, posed):
     """A few episodes, a held damping that makes up for what is missing, its true place, and residuals in halves."""
