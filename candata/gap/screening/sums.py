@@ -8,7 +8,7 @@ simulation decides among the first of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from candata.gap.screening.signature_screen import slope_of
 
 Array = NDArray[np.float64]
 Responses = Sequence[tuple[Candidate, Curve | Plane]]
+Begin = Callable[[Problem, Curve], Array]
 #: Sets that are grown by each other effect. Chosen: of ten pairs and triples, those whose effects each take a share of
 #: the gap were always among the first two.
 GROWN = 8
@@ -60,12 +61,14 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
         Each effect alone, beside the nominal scene. No two of one name are taken together.
     """
     here = problem.nominal
-    found: dict[tuple[int, ...], Sum] = {(i,): _added(problem, [one], here) for i, one in enumerate(responses)}
+    found: dict[tuple[int, ...], Sum] = {
+        (i,): _added(problem, [one], here, _neutral) for i, one in enumerate(responses)
+    }
     sizes = []
     for _ in range(1, LARGEST):
         best = sorted(found, key=lambda some: found[some].loss)[:GROWN]
         larger = sorted({tuple(sorted((*some, i))) for some in best for i in _others(responses, some)})
-        found = {some: _added(problem, [responses[i] for i in some], here) for some in larger}
+        found = {some: _added(problem, [responses[i] for i in some], here, _neutral) for some in larger}
         sizes.append(sorted(found.values(), key=lambda one: one.loss))
     return sizes
 
@@ -73,7 +76,8 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
 def beside(problem: Problem, here: Compact, held: Responses, responses: Responses) -> list[Sum]:
     """Return what is held with each other effect, its own numbers moved along; those that leave least first.
 
-    A choice is there once with each of its values.
+    A choice is there once with each of its values. A fit begins where the other effect leaves least alone: slopes at its
+    neutral value lead nowhere where contact comes and goes.
 
     Parameters
     ----------
@@ -84,7 +88,7 @@ def beside(problem: Problem, here: Compact, held: Responses, responses: Response
     held, responses : sequences of (Candidate, Curve or Plane)
         Each as it changes those residuals.
     """
-    found = [_added(problem, [*held, one], here) for response in responses for one in _values(response)]
+    found = [_added(problem, [*held, one], here, _alone) for response in responses for one in _values(response)]
     last = [one.members[-1] for one in found]
     acting = [one for one, (c, u) in zip(found, last, strict=True) if not c.is_neutral(u)]
     return sorted(acting, key=lambda one: one.loss)
@@ -106,9 +110,9 @@ def _others(responses: Responses, some: tuple[int, ...]) -> list[int]:
     return [i for i, (c, _) in enumerate(responses) if c.name not in names]
 
 
-def _added(problem: Problem, responses: Responses, here: Compact) -> Sum:
+def _added(problem: Problem, responses: Responses, here: Compact, begin: Begin) -> Sum:
     """Return where effects leave least together, were what each changes of `here (E, K)` to add up."""
-    at = [_begin(problem, response) for _, response in responses]
+    at = [r.at if isinstance(r, Plane) else begin(problem, r) for _, r in responses]
     z, loss = _read(problem, responses, at, here)
     for _ in range(STEPS):
         target = _plane(responses, at, z).best(np.arange(len(z)))
@@ -127,15 +131,15 @@ def _added(problem: Problem, responses: Responses, here: Compact) -> Sum:
     return Sum(tuple((c, u) for (c, _), u in zip(responses, at, strict=True)), loss)
 
 
-def _begin(problem: Problem, response: Curve | Plane) -> Array:
-    """Return where a fit begins: a curve's point that leaves least alone, never neutral of a choice.
+def _neutral(problem: Problem, curve: Curve) -> Array:
+    """Return where a curve does nothing; of a choice, which has no slope, where it leaves least."""
+    return _alone(problem, curve) if curve.who.choices else curve.who.neutral
 
-    Where contact comes and goes, slopes at the neutral value lead nowhere.
-    """
-    if isinstance(response, Plane):
-        return response.at
-    points = [u for u in response.at[:, None] if not (response.who.choices and response.who.is_neutral(u))]
-    return min(points, key=lambda u: float(problem.score.loss(response.read(u)).mean()))
+
+def _alone(problem: Problem, curve: Curve) -> Array:
+    """Return where a curve leaves least, never neutral of a choice."""
+    points = [u for u in curve.at[:, None] if not (curve.who.choices and curve.who.is_neutral(u))]
+    return min(points, key=lambda u: float(problem.score.loss(curve.read(u)).mean()))
 
 
 def _read(problem: Problem, responses: Responses, at: Sequence[Array], here: Compact) -> tuple[Compact, float]:
