@@ -76,8 +76,8 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
 def beside(problem: Problem, here: Compact, held: Responses, responses: Responses) -> list[Sum]:
     """Return what is held with each other effect, its own numbers moved along; those that leave least first.
 
-    A choice is there once with each of its values. A fit begins where the other effect leaves least alone: slopes at its
-    neutral value lead nowhere where contact comes and goes.
+    A choice is there once with each of its values. A fit begins where the other effect leaves least alone: slopes at
+    its neutral value lead nowhere where contact comes and goes.
 
     Parameters
     ----------
