@@ -75,7 +75,7 @@ def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word,
     found = SimpleNamespace(
         first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None, chosen=None, doubt=None
     )
-    some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), ())
+    some = conclusion._unseated(SimpleNamespace(attribution=found), word, Gap(before=3.0, after=2.0), ())
     assert some == ("armature" if asked else None)
 
 
@@ -83,7 +83,7 @@ def test_a_force_that_ended_the_search_unseats_what_was_found_until_then(monkeyp
     monkeypatch.setattr(conclusion, "unseating", lambda *a: pytest.fail("it is played again"))
     monkeypatch.setattr(conclusion, "described", lambda force, world, where, nearest: (force, nearest))
     found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force="a pull")
-    some = conclusion._unseated(SimpleNamespace(found=found), "explained", Gap(before=3.0, after=1.2), ())
+    some = conclusion._unseated(SimpleNamespace(attribution=found), "explained", Gap(before=3.0, after=1.2), ())
     assert some == ("a pull", "armature")
 
 
@@ -141,7 +141,7 @@ def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeyp
     chosen = SimpleNamespace(members=("one",) * names)
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(
-        found=SimpleNamespace(first=first, force=None, chosen=chosen, doubt=None),
+        attribution=SimpleNamespace(first=first, force=None, chosen=chosen, doubt=None),
         problem=SimpleNamespace(setting=lambda members: ()),
         scene=None,
     )
@@ -159,7 +159,9 @@ def test_a_force_is_played_once_in_the_nominal_world_for_both_questions_if_it_ma
     monkeypatch.setattr(conclusion, "is_toss", lambda scene: False)
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(
-        found=SimpleNamespace(first=first, force=None, chosen=SimpleNamespace(members=("one", "other")), doubt=doubt),
+        attribution=SimpleNamespace(
+            first=first, force=None, chosen=SimpleNamespace(members=("one", "other")), doubt=doubt
+        ),
         problem=SimpleNamespace(setting=lambda members: ()),
         scene=None,
     )
@@ -174,5 +176,5 @@ def test_of_an_unknown_cause_the_force_is_described_that_the_search_has_played(m
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),))
     for force, said in (("a pull", ("a pull", (), "armature")), (None, None)):
         doubt = SimpleNamespace(lone=SimpleNamespace(of_all=force))
-        some = SimpleNamespace(found=SimpleNamespace(first=first, doubt=doubt))
+        some = SimpleNamespace(attribution=SimpleNamespace(first=first, doubt=doubt))
         assert conclusion._rest(some, "unknown_effect", (), ()) == said

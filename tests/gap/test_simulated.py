@@ -89,7 +89,6 @@ def test_where_nothing_was_named_episodes_are_counted_again_by_what_was_simulate
     monkeypatch.setattr(attribution, "gains_share", lambda *a: True)
     found = ("one value", SimpleNamespace(score="another floor"))
     monkeypatch.setattr(attribution, "recentred", lambda problem, *a: found if problem.simulated else None)
-    monkeypatch.setattr(attribution, "_in_mean", lambda *a: None)
     after = attribute(problem)
     assert made == [False, True]
     assert (after.chosen, after.remains) == ((first.chosen, True) if named else ("one value", False))

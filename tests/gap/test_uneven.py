@@ -230,7 +230,6 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
     monkeypatch.setattr(attribution, "_left", lambda *a: (left, floors))
     monkeypatch.setattr(attribution, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
     monkeypatch.setattr(attribution, "alone", lambda *a: None)
-    monkeypatch.setattr(attribution, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     after = attribution.attribute(problem)
     if not asked:
@@ -252,7 +251,6 @@ def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypat
     monkeypatch.setattr(attribution, "_left", lambda *a: (0.1, 0.3))
     asked = []
     monkeypatch.setattr(attribution, "alone", lambda problem, *a: asked.append(a))
-    monkeypatch.setattr(attribution, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(replayer=SimpleNamespace(scene=arm), nominal=None, score=None)
     assert attribution.attribute(problem).chosen == "a set"
     assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])

@@ -381,7 +381,7 @@ def test_a_force_that_all_episodes_ask_none_of_closes_nothing(scale, after, clos
 
 def test_what_a_joints_force_also_depends_on_is_said_in_the_same_clause():
     found = SimpleNamespace(terms=[0], coefficients=np.array([[-0.02]]))
-    drag = SimpleNamespace(place="joint", found=found, names=(("velocity",),), wave=1.0, depends_on=("velocity",))
+    drag = SimpleNamespace(place="joint", description=found, names=(("velocity",),), wave=1.0, depends_on=("velocity",))
     both = SimpleNamespace(**{**vars(drag), "depends_on": ("velocity", "position", "constant")})
     alone, more = (unknown_cause._how(SimpleNamespace(suspects=(s,))) for s in (drag, both))
     assert alone == " against its motion, growing with speed"

@@ -20,11 +20,11 @@ def fit(*labels: str):
     return SimpleNamespace(labels=labels, members=tuple((SimpleNamespace(name=label), None) for label in labels))
 
 
-def found(chosen=None, tied: int = 1, remains: bool = False, names: int = 1, mean=None):
+def found(chosen=None, tied: int = 1, remains: bool = False, names: int = 1):
     best = fit(*("object_mass", "object_com", "armature", "backlash")[:names]) if chosen else None
     fits = (fit("object_mass"), fit("object_com"))
     return SimpleNamespace(
-        chosen=best, tied=fits[:tied] if chosen else (), remains=remains, first=SimpleNamespace(fits=fits), mean=mean
+        chosen=best, tied=fits[:tied] if chosen else (), remains=remains, first=SimpleNamespace(fits=fits)
     )
 
 
@@ -67,8 +67,6 @@ def closing(share: float, before: float = 11.0, elsewhere: float | None = None, 
         (found(True), closing(0.48, before=1.067, high=1.0), "explained"),
         (found(True), closing(0.48, before=1.067, high=0.79), "unknown_effect"),
         (found(True), closing(-0.1, before=1.067, high=1.0), "unknown_effect"),
-        (found(True, mean="many replays"), closing(-0.1, before=1.067, high=1.0), "explained"),
-        (found(True, mean="many replays"), closing(-0.1, before=1.067, high=0.79), "unknown_effect"),
         (found(True), closing(0.48, before=1.8, high=1.0), "unknown_effect"),
         (found(True), closing(0.73, before=1.33), "explained"),
         (found(True), closing(0.8, before=1.28), "explained"),
