@@ -42,9 +42,13 @@ def typed_keys() -> Iterator[tuple[Typed, str]]:
     try:
         tty.setcbreak(terminal, termios.TCSANOW)
         reader.start()
-        yield (lambda: [pressed.get_nowait() for _ in range(pressed.qsize())]), ""
+        try:
+            yield (lambda: [pressed.get_nowait() for _ in range(pressed.qsize())]), ""
+        finally:
+            ended.set()
+            # What is typed after the end is not this reader's, nor is a terminal that is opened later.
+            reader.join(2 * _PERIOD_S)
     finally:
-        ended.set()
         with suppress(termios.error, OSError):  # the terminal may have gone
             termios.tcsetattr(terminal, termios.TCSANOW, before)
 
